@@ -6,7 +6,8 @@ import json
 import math
 import os
 import re
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Iterator
 
@@ -17,10 +18,14 @@ from .errors import FileFormatError, MapRacingError
 __all__ = [
     "for_json",
     "make_folder",
+    "read_json",
     "read_yaml_mapping",
     "refuse_special",
     "replacing",
+    "together",
+    "unfinished",
     "write_json",
+    "yaml_text",
 ]
 
 
@@ -100,11 +105,93 @@ def _decimal(kind):
 
 for _kind in ("int", "float"):
     _UniqueKeyLoader.add_constructor(f"tag:yaml.org,2002:{_kind}", _decimal(_kind))
-_UniqueKeyLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that quotes texts which `_UniqueKeyLoader` would read as numbers: 12e4."""
+
+
+for _kind in (_UniqueKeyLoader, _Dumper):
+    _kind.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+        list("-+.0123456789"),
+    )
+
+
+def yaml_text(values: dict, **options: object) -> str:
+    """YAML that `read_yaml_mapping` reads back unchanged; `options` are those of ``yaml.dump``."""
+    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, **options)
+
+
+# Files that appear together: their temporary names by their final ones; None outside of `together`.
+_waiting: ContextVar[dict | None] = ContextVar("waiting", default=None)
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """Write files that belong together: they appear when all are complete, or none does.
+
+    Until the end, what `replacing` and `unfinished` write within has temporary names; after an
+    error existing files are unchanged. A group within a group is part of it.
+
+    Raises
+    ------
+    MapRacingError
+        If a file cannot be written.
+    """
+    if _waiting.get() is not None:
+        yield
+        return
+    waiting: dict[Path, Path] = {}
+    token = _waiting.set(waiting)
+    try:
+        yield
+        for target, temporary in waiting.items():
+            _appear(temporary, target, target)
+    finally:
+        _waiting.reset(token)
+        for temporary in waiting.values():
+            with suppress(OSError):
+                temporary.unlink()
+
+
+@contextmanager
+def unfinished(path: str | Path) -> Iterator[Path]:
+    """Temporary name in the folder of a file, under which it is written; renamed at the end.
+
+    After an error the file is removed, and an existing one is unchanged. The target of a link is
+    replaced.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+
+    Raises
+    ------
+    MapRacingError
+        If it cannot be renamed.
+    """
+    target = Path(os.path.realpath(str(path)))
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    waiting = _waiting.get()
+    try:
+        yield temporary
+        if waiting is None:
+            _appear(temporary, target, path)
+        else:
+            waiting[target] = temporary
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _appear(temporary, target, path):
+    try:
+        os.replace(str(temporary), str(target))
+    except OSError as error:
+        raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
 
 
 @contextmanager
@@ -130,22 +217,17 @@ def replacing(path: str | Path, binary: bool = False) -> Iterator[IO]:
     if not Path(path).name or target.is_dir():
         raise MapRacingError(f"{path}: cannot write: expected the name of a file")
     special = target.exists() and not target.is_file()
-    temporary = target if special else target.with_name(f".{target.name}.{os.getpid()}.part")
+    # File names that are not UTF-8 are written unchanged.
+    text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
+    mode, options = ("wb", {}) if binary else ("w", text)
     try:
-        # File names that are not UTF-8 are written unchanged.
-        text = {"encoding": "utf-8", "errors": "surrogateescape", "newline": ""}
-        with open(temporary, "wb" if binary else "w", **({} if binary else text)) as file:
+        writing = nullcontext(target) if special else unfinished(path)
+        with writing as name, open(name, mode, **options) as file:
             yield file
-        if not special:
-            os.replace(str(temporary), str(target))
     except BrokenPipeError:  # writing to /dev/stdout with `| head`
         raise
     except OSError as error:
         raise MapRacingError(f"{path}: cannot write: {error.strerror or error}") from None
-    finally:
-        if not special:
-            with suppress(OSError):
-                temporary.unlink()
 
 
 def write_json(path: str | Path, content: object, indent: int | None = 1) -> None:
@@ -166,6 +248,22 @@ def write_json(path: str | Path, content: object, indent: int | None = 1) -> Non
     with replacing(path) as file:
         # One dumps takes a tenth of the time of json.dump without indentation.
         file.write(json.dumps(for_json(content), indent=indent, allow_nan=False) + "\n")
+
+
+def read_json(path: str | Path) -> object:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is something else.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 def for_json(content: object) -> object:

@@ -18,9 +18,9 @@ import numpy as np
 from .errors import FileFormatError
 from .files import refuse_special
 from .printing import printable
+from .units import SI, factor_to_si, is_unit, no_unit, unit_at_end
 
 __all__ = [
-    "UNITS",
     "Columns",
     "column_index",
     "is_number",
@@ -28,18 +28,9 @@ __all__ = [
     "parse_rows",
     "read_columns",
     "some_names",
+    "units_to_si",
     "without_unit",
 ]
-
-
-UNITS = {
-    **dict.fromkeys(("m", "rad", "m/s", "rad/s", "m/s^2", "s"), 1.0),
-    **{"cm": 0.01, "mm": 0.001, "deg": math.pi / 180.0, "deg/s": math.pi / 180.0},
-    **dict.fromkeys(("km/h", "kmh", "kph"), 1.0 / 3.6),
-    **{"mph": 0.44704, "cm/s": 0.01, "mm/s": 0.001, "m/s2": 1.0, "m/s\u00b2": 1.0},
-    **{"g": 9.80665, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-}
-"""Factors to SI units."""
 
 
 class Columns(NamedTuple):
@@ -56,8 +47,8 @@ class Columns(NamedTuple):
     notes : list of str
         What was left out.
     units : dict of str to str
-        Units of the columns, as in `UNITS`, from a row of units below the names or from brackets
-        after them. Columns without a stated unit are missing.
+        Units of the columns as written in a row of units below the names or in brackets after them;
+        columns without are missing. See `units_to_si`.
     words : list of str
         Cells of the requested column of words, one per row; empty if none was requested.
     """
@@ -112,10 +103,7 @@ def read_columns(
         table, lines, notes = parse_rows(path, rows, names, list(where.values()), recorded=True)
     named = {key: names[index] for key, index in where.items()}
     units = units or [_unit_of(name) for name in names]
-    stated = {key: units[index] for key, index in where.items() if units[index] in UNITS}
-    for key, name in named.items():
-        if key not in stated and units[where[key]]:
-            notes.append(f"warning: column {name}: unknown unit, SI assumed")
+    stated = {key: units[index] for key, index in where.items() if not no_unit(units[index])}
     said = [words.get(line, "") for line in lines] if words else []
     return Columns(dict(zip(where, table.T)), named, lines, notes, stated, said)
 
@@ -183,11 +171,42 @@ def without_unit(name: str) -> str:
     return _UNIT.sub("", name) or name
 
 
+def units_to_si(columns: Columns, quantities: Mapping[str, str]) -> dict[str, float]:
+    """Factors of columns to SI, from the units in the file; `columns` gets a note for each.
+
+    Parameters
+    ----------
+    columns : Columns
+    quantities : dict of str to str
+        Quantity of each column, a key of `map_racing.units.SI`.
+
+    Returns
+    -------
+    dict of str to float
+        Of the columns whose unit is stated, also at the end of the name as in ``speed_kmh``, and
+        known.
+    """
+    factors = {}
+    for key, quantity in quantities.items():
+        name = columns.names[key]
+        unit = columns.units.get(key) or unit_at_end(without_unit(name), quantity)[1]
+        factor = factor_to_si(quantity, unit)
+        if factor is None:
+            columns.notes.append(
+                f"warning: column {name}: expected a unit such as {SI[quantity]}, got {unit}: "
+                "taken as SI"
+            )
+        elif unit:
+            factors[key] = factor
+            if factor != 1.0:
+                columns.notes.append(f"column {name}: {unit} converted to {SI[quantity]}")
+    return factors
+
+
 def _unit_of(name):
     """Unit in brackets after a column name; empty if there is none."""
     found = _UNIT.search(name)
-    unit = found.group(1).strip().lower() if found and found.start() else ""
-    return "" if unit in ("-", "1") else unit
+    return found.group(1).strip() if found and found.start() else ""
 
 
 def _split_units(rows, count):
@@ -197,8 +216,8 @@ def _split_units(rows, count):
     if first is None:
         return None, rows
     units = [cell.strip("[](){} ") for cell in first[1]]
-    units = ["" if unit in ("-", "1") else unit for unit in units]
-    if len(units) == count and any(units) and all(unit in UNITS for unit in units if unit):
+    words = not any(is_number(unit) and not no_unit(unit) for unit in units)
+    if len(units) == count and words and any(map(is_unit, units)):
         return units, rows
     return None, chain([first], rows)
 

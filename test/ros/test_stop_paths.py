@@ -119,7 +119,7 @@ def test_each_pose_makes_one_command_with_its_header(car, monkeypatch):
     (command,) = car.pose()
     assert len(reports.calls) == 1
     ((latency, result),) = steps.calls
-    assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._guidance.sent
+    assert 0.0 <= latency < 60.0 and result.s > 0.0 and car.node._telemetry._guidance.sent
     assert command.header.stamp.to_sec() == START and command.header.frame_id == "map"
     # First the step itself for pending learning, then the node after sending the command.
     assert len(learns.calls) == 2
@@ -141,7 +141,7 @@ def test_commands_are_stamped_in_order(car, monkeypatch):
     assert stamps[-1] == stamps[-2] + 1
     assert command.header.stamp.to_sec() == pytest.approx(late + 0.02)
     # The pose keeps its header, and a clock that was set back is followed.
-    assert car.node._guidance.sent[-1]["header"].stamp.to_sec() == pytest.approx(late)
+    assert car.node._telemetry._guidance.sent[-1]["header"].stamp.to_sec() == pytest.approx(late)
     for stamp in (START - 50.0, START - 51.0, START - 51.0):
         (command,) = car.pose(stamp=stamp)
         assert command.header.stamp.to_sec() == stamp

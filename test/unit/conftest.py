@@ -1,14 +1,18 @@
 """A track of known length and its bags, races that take a few hundredths of a second, ramps."""
 
 import dataclasses
+import errno
 import gc
+import os
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import settings
 
+from map_racing import files
 from map_racing.bags.writer import BagWriter
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.steering_ramp import RampParameters
@@ -136,6 +140,21 @@ def ramps_once():
 
 
 SPEEDS = (2.0, 3.0, 4.0)
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """Function that lets no file whose name contains a text be written: the disk is full."""
+
+    def fill(text):
+        def opened(path, mode="r", **options):
+            if text in Path(path).name and "w" in mode:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+            return open(path, mode, **options)
+
+        monkeypatch.setattr(files, "open", opened, raising=False)
+
+    return fill
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ ALLOWED = {
 }
 TOP_LEVEL = {
     *("printing", "errors", "angles", "files", "resources", "tables", "transforms"),
-    "validation",
+    *("units", "validation"),
     "__version__",
 }
 # Starting points of the programs; they may import all packages.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
-from map_racing.files import read_yaml_mapping, replacing, write_json
+from map_racing.files import read_yaml_mapping, replacing, together, write_json, yaml_text
 
 
 def test_reads_a_mapping(tmp_path):
@@ -57,6 +57,13 @@ def test_numbers_with_exponent_are_numbers(tmp_path):
         **{"a": 1e-3, "b": [470.0, -2000.0, 5.0, 1e-3]},
         **{"c": "1e", "d": "e3", "e": "1e-3 m"},
     }
+
+
+def test_texts_that_look_like_numbers_are_read_back_as_texts(tmp_path):
+    path = tmp_path / "car.yaml"
+    values = {"name": "1e3", "hash": "123456e78901", "old": "0105", "m": 1e-5, "n": 3}
+    path.write_text(yaml_text(values))
+    assert read_yaml_mapping(path) == values
 
 
 def test_refuses_a_file_that_is_not_there(tmp_path):
@@ -146,6 +153,42 @@ def test_bytes_appear_only_when_they_are_complete(tmp_path):
         assert not path.exists()
     assert path.read_bytes() == b"\x00\xff\r\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["race.bag"]
+
+
+def test_files_that_belong_together_appear_together(tmp_path):
+    with together():
+        with replacing(tmp_path / "table.csv") as file:
+            file.write("0,1")
+        with together(), replacing(tmp_path / "table.meta.yaml") as file:
+            file.write("l_wb: 0.3")
+        with replacing(tmp_path / "table.csv") as file:
+            file.write("0,2")
+        assert all(entry.name.startswith(".") for entry in tmp_path.iterdir())
+    assert (tmp_path / "table.csv").read_text() == "0,2"
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["table.csv", "table.meta.yaml"]
+    write_json(tmp_path / "alone.json", {})
+    assert (tmp_path / "alone.json").exists()
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, MapRacingError])
+def test_after_an_error_none_of_the_files_appears(tmp_path, error):
+    (tmp_path / "b.txt").write_text("old")
+    with pytest.raises(error), together():
+        for name in ("a.txt", "b.txt", "c.txt"):
+            with replacing(tmp_path / name) as file:
+                file.write("new")
+                if name == "c.txt":
+                    raise error
+    assert [entry.name for entry in tmp_path.iterdir()] == ["b.txt"]
+    assert (tmp_path / "b.txt").read_text() == "old"
+
+
+def test_a_name_that_cannot_be_taken_is_told(tmp_path):
+    with pytest.raises(MapRacingError, match=r"a\.txt: cannot write: "), together():
+        with replacing(tmp_path / "a.txt") as file:
+            file.write("new")
+        (tmp_path / "a.txt").mkdir()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_json_has_no_nan_and_no_numpy(tmp_path):

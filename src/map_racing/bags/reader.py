@@ -14,8 +14,8 @@ from .clocks import COMMAND_DELAY_NS, rate_note, stamps_are_unusable
 from .opening import Source, open_bag, source_name
 from .samples import Beliefs, Commands, Recording, is_map_frame
 from .series import Series, commands_of_two
+from .tf_poses import FramePoses
 from .topics import belief_connections, drive_connections, imu_topic, pose_sources
-from .transforms import FramePoses
 from .waypoints import WaypointCollection
 
 __all__ = ["read_recording", "read_signals"]

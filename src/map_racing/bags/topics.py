@@ -11,7 +11,8 @@ from . import messages as msg
 from .bag import Bag
 from .samples import child_warning, is_odometry_frame
 from .series import PoseSeries
-from .transforms import ComposedPoses, FramePoses, MountedPoses, RecordedTransforms
+from .tf_poses import ComposedPoses, FramePoses, MountedPoses
+from .transforms import RecordedTransforms
 
 __all__ = [
     "BELIEF_TOPIC",

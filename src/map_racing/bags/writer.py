@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import struct
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Callable
 
 import lz4.frame
 
 from ..errors import BagError
+from ..files import unfinished
 from . import encoding
 from . import messages as msg
 from .bag import Bag, Message
@@ -54,9 +54,6 @@ class BagWriter:
             raise BagError(f"{path}: cannot write the bag: expected a file, got a directory")
         if self.path.exists() and not self.path.is_file():
             raise BagError(f"{path}: cannot write the bag: expected a file, got a pipe or a device")
-        # For a link, its target is replaced.
-        self._target = Path(os.path.realpath(str(path)))
-        self._temporary = self._target.with_name(f".{self._target.name}.{os.getpid()}.part")
         self._topics: dict[str, list] = {}
 
     def __enter__(self):
@@ -68,27 +65,28 @@ class BagWriter:
         self._types = get_typestore(Stores.ROS1_NOETIC)
         for name, definition in msg.DEFINITIONS.items():
             self._types.register(get_types_from_msg(definition, name))
-        self._writer = Writer(self._temporary)
-        if self._compression:
-            self._writer.set_compression(Writer.CompressionFormat[self._compression.upper()])
-        if self._compression == "lz4":
-            self._writer.compressor = _compress_for_ros
-        try:
-            self._writer.open()
-        except OSError as error:
-            raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
+        with ExitStack() as stack:
+            self._writer = Writer(stack.enter_context(unfinished(self.path)))
+            if self._compression:
+                self._writer.set_compression(Writer.CompressionFormat[self._compression.upper()])
+            if self._compression == "lz4":
+                self._writer.compressor = _compress_for_ros
+            try:
+                self._writer.open()
+            except OSError as error:
+                raise self._failed(error) from None
+            stack.callback(self._writer.close)
+            self._open = stack.pop_all()
         return self
 
-    def __exit__(self, exception_type, exception, traceback):
+    def __exit__(self, *raised):
         try:
-            self._writer.close()
-            if exception_type is None:
-                os.replace(self._temporary, self._target)
+            self._open.__exit__(*raised)
         except OSError as error:
-            raise BagError(f"{self.path}: cannot write the bag: {error.strerror}") from None
-        finally:
-            with suppress(OSError):
-                self._temporary.unlink()
+            raise self._failed(error) from None
+
+    def _failed(self, error):
+        return BagError(f"{self.path}: cannot write the bag: {error.strerror or error}")
 
     def odometry(
         self,
@@ -199,7 +197,10 @@ class BagWriter:
         except (TypeError, ValueError, OverflowError, struct.error) as error:
             raise BagError(f"{self.path}: {topic}: cannot write the message: {error}") from None
         entry[1] += 1
-        self._writer.write(entry[2], time_ns, data)
+        try:
+            self._writer.write(entry[2], time_ns, data)
+        except OSError as error:
+            raise self._failed(error) from None
 
     def _connect(self, topic, kind, latched):
         package, name = kind.split("/")

@@ -9,22 +9,24 @@ from tqdm import tqdm
 
 from ..bags.opening import source_name
 from ..errors import MapRacingError, ParameterError
-from ..evaluation.laps import LapLimits
+from ..evaluation.lap_limits import LapLimits
+from ..evaluation.laps import check_options
 from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
-from ..files import write_json
+from ..files import together, write_json
 from ..printing import printable
 from ..track.files.load import load_raceline
 from .figures import draw_runs
 from .inputs import joined
-from .outputs import check_outputs
+from .outputs import CSV, JSON, check_outputs
 
 
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
     check_evaluation(arguments)
-    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, arguments.raceline])
+    outputs = [(arguments.csv, CSV), (arguments.json, JSON)]
+    check_outputs(outputs, [*arguments.recordings, arguments.raceline])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
     sources = joined(arguments.recordings, arguments.join)
@@ -48,13 +50,16 @@ def run(arguments):
         print(summary_table(zip(names, results)), end="\n\n")
     if not results:
         return failed
+    with together():
+        if arguments.csv:
+            write_csv(arguments.csv, results)
+        if arguments.json:
+            write_json(arguments.json, lap_data(results))
     if arguments.csv:
-        write_csv(arguments.csv, results)
         print(f"laps written to {arguments.csv}")
     if arguments.json:
-        write_json(arguments.json, lap_data(results))
         print(f"laps and summaries written to {arguments.json}")
-    if arguments.plots:
+    if arguments.plots is not None:
         draw_runs(arguments.plots, names, results)
         print(f"figures are in {arguments.plots}")
     return failed
@@ -71,6 +76,11 @@ def check_evaluation(arguments):
         if not value > 0.0:
             option = "--" + name.replace("_", "-")
             raise ParameterError(f"{option}: expected more than 0, got {value}")
+    check_options(
+        getattr(arguments, "start_line", 0.0),
+        getattr(arguments, "car_width", 0.0),
+        getattr(arguments, "sectors", 1),
+    )
 
 
 def evaluate_one(source, track, arguments):

@@ -14,7 +14,7 @@ from ..control.parameters import (
     save_controller_parameters,
 )
 from ..errors import ParameterError
-from ..files import make_folder, write_json
+from ..files import make_folder, together, write_json
 from ..identification.car import identify_car
 from ..identification.car_report import car_data, car_text, provenance
 from ..identification.data import load_run
@@ -26,7 +26,7 @@ from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
 from .inputs import channel_map, joined, read_vehicle
-from .outputs import check_outputs
+from .outputs import CSV, JSON, YAML, check_outputs
 
 CONTROLLER = "map"
 
@@ -34,10 +34,9 @@ CONTROLLER = "map"
 def run(arguments: argparse.Namespace) -> None:
     """Identify, report, write."""
     output = Path(arguments.output)
-    if output.suffix not in (".yaml", ".yml"):
-        raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
-    outputs = [arguments.output, str(_table_path(output)), arguments.linear_output]
-    outputs += [arguments.json, arguments.controller_output]
+    outputs = [(arguments.output, YAML), (str(_table_path(output)), CSV)]
+    outputs += [(arguments.linear_output, YAML), (arguments.controller_output, YAML)]
+    outputs += [(arguments.json, JSON)]
     recordings = [*arguments.data, *arguments.validate]
     check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
     _check_held_out(arguments)
@@ -70,24 +69,27 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _write(arguments, found, left_out, validated):
     """Write vehicle, table and further outputs."""
-    if arguments.plots:
+    if arguments.plots is not None:
         # First, so that no other output is left behind if the folder cannot be made.
         make_folder(arguments.plots)
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
     output = Path(arguments.output)
-    save_vehicle(found.vehicle, output, provenance(found, validated))
-    table.save(_table_path(output))
     digest = parameter_hash(found.vehicle)
-    print(f"vehicle written to {output} ({digest}), table to {_table_path(output)}")
-    if arguments.linear_output:
-        save_vehicle(found.linear_vehicle, arguments.linear_output, provenance(found, validated))
-        print(f"vehicle with linear tires written to {arguments.linear_output}")
-    if arguments.controller_output:
-        _write_controller(arguments.controller_output, found)
-    if arguments.json:
-        write_json(arguments.json, car_data(found, left_out, validated))
-        print(f"report written to {arguments.json}")
-    if arguments.plots:
+    said = [f"vehicle written to {output} ({digest}), table to {_table_path(output)}"]
+    with together():
+        save_vehicle(found.vehicle, output, provenance(found, validated))
+        table.save(_table_path(output))
+        if arguments.linear_output:
+            linear = arguments.linear_output
+            save_vehicle(found.linear_vehicle, linear, provenance(found, validated))
+            said.append(f"vehicle with linear tires written to {linear}")
+        if arguments.controller_output:
+            said.append(_write_controller(arguments.controller_output, found))
+        if arguments.json:
+            write_json(arguments.json, car_data(found, left_out, validated))
+            said.append(f"report written to {arguments.json}")
+    print("\n".join(said))
+    if arguments.plots is not None:
         draw_identification(arguments.plots, found.steady, left_out, table)
         print(f"figures are in {arguments.plots}")
 
@@ -120,7 +122,7 @@ def _validated(arguments, found, channels):
 
 
 def _write_controller(path, found):
-    """Write the shipped controller with the delay that was found."""
+    """Write the shipped controller with the delay that was found; return what to print."""
     parameters = load_controller_parameters(CONTROLLER, found.vehicle)
     delay = found.laps.delays.delay if found.laps else None
     if delay is None or delay.value is None:
@@ -130,4 +132,4 @@ def _write_controller(path, found):
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"
     save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER, found.vehicle))
-    print(f"controller {CONTROLLER} written to {path}, {text}")
+    return f"controller {CONTROLLER} written to {path}, {text}"

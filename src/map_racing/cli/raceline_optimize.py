@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from ..control.speed_sectors import corners_and_straights, save_speed_sectors
 from ..errors import ParameterError
+from ..files import together
 from ..printing import printable
 from ..track.centerline import track_from_map, widest_place
 from ..track.files.formats import choose_format
@@ -31,7 +32,7 @@ from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import size_of
 from .figures import draw
 from .inputs import read_vehicle
-from .outputs import check_outputs
+from .outputs import ANY, YAML, check_outputs
 
 # Findings that make the walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
@@ -44,10 +45,11 @@ MOST_POINTS, WIDEST_M = 20000, 100.0
 
 def run_optimize(arguments):
     """Optimize, compare, write."""
-    outputs = [arguments.output, arguments.middle, arguments.sectors]
+    paths = arguments.output, arguments.middle
+    outputs = [*((path, ANY) for path in paths), (arguments.sectors, YAML)]
     inputs = [arguments.source, *arguments.compare, arguments.vehicle, arguments.lookup_table]
     check_outputs(outputs, inputs)
-    forms = [form_of(path, arguments.format) for path in outputs[:2]]
+    forms = [form_of(path, arguments.format) for path in paths]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     size = size_of(vehicle)
@@ -99,7 +101,7 @@ def run_optimize(arguments):
     except ParameterError:
         middle = found.reference
     write(arguments, forms, optimized, middle)
-    if arguments.plots:
+    if arguments.plots is not None:
         name = f"{optimized.name or 'track'}_optimized.png"
         drawn = optimized, middle, found.walls, image
         path = draw(arguments.plots, name, "optimization.plot_optimized", *drawn)
@@ -108,15 +110,20 @@ def run_optimize(arguments):
 
 def write(arguments, forms, optimized, middle):
     """Write the lines in their formats, and the sectors."""
-    for path, form, line in zip((arguments.output, arguments.middle), forms, (optimized, middle)):
-        if path:
-            save_raceline(line, path, form)
-            without = "" if line.speed is not None else ", without speeds"
-            print(f"{path}: format {form}, {line.n} points{without}")
-    if arguments.sectors:
-        sectors = corners_and_straights(optimized)
-        save_speed_sectors(arguments.sectors, optimized, sectors)
-        print(f"{arguments.sectors}: {len(sectors)} sectors")
+    said = []
+    with together():
+        lines = zip((arguments.output, arguments.middle), forms, (optimized, middle))
+        for path, form, line in lines:
+            if path:
+                save_raceline(line, path, form)
+                without = "" if line.speed is not None else ", without speeds"
+                said.append(f"{path}: format {form}, {line.n} points{without}")
+        if arguments.sectors:
+            sectors = corners_and_straights(optimized)
+            save_speed_sectors(arguments.sectors, optimized, sectors)
+            said.append(f"{arguments.sectors}: {len(sectors)} sectors")
+    for text in said:
+        print(text)
 
 
 def label(name, other, taken):

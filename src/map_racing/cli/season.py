@@ -13,7 +13,7 @@ from ..evaluation.report import write_rows
 from ..experiments.executors import open_executor
 from ..experiments.season import COLUMNS, BagOptions, evaluate_season
 from ..experiments.season_bags import find_bags, first_part, parts_of
-from ..files import make_folder, replacing
+from ..files import make_folder, replacing, together
 from ..pages.html import plotly_script
 from ..pages.season import season_page
 from ..printing import amount, printable
@@ -37,7 +37,7 @@ def run(arguments):
         load_raceline(source)  # fail early if one cannot be read
     tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
-    make_folder(output)
+    make_folder(arguments.output)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
         season = evaluate_season(bags, output, options, executor, capacity)
     heats = season.heats
@@ -48,9 +48,11 @@ def run(arguments):
     for heat in heats:
         first = parts[heat["bag"]][0]
         heat["report"] = link(first, reports[heat["bag"]], output)
-    write_rows(output / "season.csv", COLUMNS, heats)
-    with replacing(output / "season.html") as file:
-        file.write(season_page(heats))
+    page = season_page(heats)
+    with together():
+        write_rows(output / "season.csv", COLUMNS, heats)
+        with replacing(output / "season.html") as file:
+            file.write(page)
     unread = [heat for heat in heats if heat["reason"]]
     for heat in unread[:20]:
         print(f"not evaluated: {printable(heat['bag'])}: {printable(heat['reason'])}")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-
-import yaml
+from typing import TypeVar
 
 from ..errors import ParameterError
-from ..files import read_yaml_mapping, replacing
+from ..files import read_yaml_mapping, replacing, yaml_text
 from ..resources import config_directory, find_config
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
 from ..vehicle.parameters import Vehicle
@@ -19,6 +18,7 @@ from .safety_limits import SafetyLimits
 
 __all__ = [
     "ControllerParameters",
+    "LawParameters",
     "MpcParameters",
     "growth",
     "load_controller_parameters",
@@ -53,10 +53,50 @@ _DRIVE_SHARE, _BRAKE_SHARE = 0.93, 0.73
 # Largest speed that any controller may command [m/s].
 _FASTEST = 200.0
 
+_Law = TypeVar("_Law", bound="LawParameters")
+
+
+def growth(name: str, size: Size) -> float:
+    """Factor on a parameter for a car of another size; 1 if it does not depend on the size."""
+    of_length, of_time = _GROWTH.get(name, (0, 0))
+    return size.length**of_length * size.time**of_time
+
+
+class LawParameters:
+    """What the parameters of all laws have in common."""
+
+    def __post_init__(self):
+        check(self)
+        if 0.0 < self.grip_use < 0.1:  # a plan would crawl around the lap
+            raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {self.grip_use:g}")
+
+    def with_(self: _Law, **changes) -> _Law:
+        """A checked copy with some values changed."""
+        return replace(self, **changes)
+
+    def of_size(self: _Law, vehicle: Vehicle) -> _Law:
+        """Scale these values from a 1:10 car to another size, see `size_of`.
+
+        Distances and times scale with the size; speeds and accelerations are bounded by the
+        vehicle's limits instead. Nothing changes for 1:10 cars.
+        """
+        values, size = vars(self), size_of(vehicle)
+        if size == ONE_TENTH:
+            return self
+        changes = {n: round(values[n] * growth(n, size), 6) for n in _GROWTH if n in values}
+        if "table_v_max_mps" in values:  # the limit is for the authors' tables, not this car's
+            changes["table_v_max_mps"] = max(values["table_v_max_mps"], vehicle.v_max)
+        return self.with_(
+            **changes,
+            v_max_mps=min(vehicle.v_max, _FASTEST),
+            a_drive_max_mps2=min(values["a_drive_max_mps2"], _DRIVE_SHARE * vehicle.a_max),
+            a_brake_max_mps2=min(values["a_brake_max_mps2"], _BRAKE_SHARE * vehicle.a_brake_max),
+        )
+
 
 @documented
 @dataclass(frozen=True)
-class ControllerParameters:
+class ControllerParameters(LawParameters):
     """Tuning of a controller; files in ``config/controllers`` use the same names.
 
     The lookahead distance is ``L_d = m + q v``, with the letters of the paper.
@@ -219,8 +259,7 @@ class ControllerParameters:
     TUNED = ("m_m", "q_s")
 
     def __post_init__(self):
-        check(self)
-        _check_grip_use(self.grip_use)
+        super().__post_init__()
         if self.lookahead_min_m > self.lookahead_max_m:
             raise ParameterError(
                 f"lookahead_min_m: expected at most lookahead_max_m, {self.lookahead_max_m:g}, "
@@ -238,43 +277,6 @@ class ControllerParameters:
         bounds = self.lookahead_min_m, self.lookahead_max_m
         return LookaheadLaw(self.m_m, self.q_s, *bounds, growth)
 
-    def with_(self, **changes) -> ControllerParameters:
-        """A checked copy with some values changed."""
-        return replace(self, **changes)
-
-    def of_size(self, vehicle: Vehicle) -> ControllerParameters:
-        """Scale these values from a 1:10 car to another size, see `size_of`.
-
-        Distances and times scale with the size; speeds and accelerations are bounded by the
-        vehicle's limits instead. Nothing changes for 1:10 cars.
-        """
-        return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
-
-
-def _check_grip_use(grip_use):
-    if 0.0 < grip_use < 0.1:  # a plan would crawl around the lap
-        raise ParameterError(f"grip_use: expected 0 (off) or 0.1 to 1.2, got {grip_use:g}")
-
-
-def growth(name: str, size: Size) -> float:
-    """Factor on a parameter for a car of another size; 1 if it does not depend on the size."""
-    of_length, of_time = _GROWTH.get(name, (0, 0))
-    return size.length**of_length * size.time**of_time
-
-
-def _sized(parameters, vehicle):
-    """The values that differ for a car of another size."""
-    values, size = vars(parameters), size_of(vehicle)
-    changes = {n: round(values[n] * growth(n, size), 6) for n in _GROWTH if n in values}
-    if "table_v_max_mps" in values:  # the limit is for the authors' tables, not this car's
-        changes["table_v_max_mps"] = max(values["table_v_max_mps"], vehicle.v_max)
-    return {
-        **changes,
-        "v_max_mps": min(vehicle.v_max, _FASTEST),
-        "a_drive_max_mps2": min(values["a_drive_max_mps2"], _DRIVE_SHARE * vehicle.a_max),
-        "a_brake_max_mps2": min(values["a_brake_max_mps2"], _BRAKE_SHARE * vehicle.a_brake_max),
-    }
-
 
 def _as_in_map(name):
     """The field of `ControllerParameters` of this name: the same meaning, range and default."""
@@ -284,7 +286,7 @@ def _as_in_map(name):
 
 @documented
 @dataclass(frozen=True)
-class MpcParameters:
+class MpcParameters(LawParameters):
     """Parameters of model predictive control; a controller file with ``law: mpc`` holds them."""
 
     model: str = parameter(
@@ -319,18 +321,6 @@ class MpcParameters:
 
     # What is tuned, see `map_racing.experiments.tuning`.
     TUNED = ("heading_weight_m", "steering_rate_weight_ms")
-
-    def __post_init__(self):
-        check(self)
-        _check_grip_use(self.grip_use)
-
-    def with_(self, **changes) -> MpcParameters:
-        """A checked copy with some values changed."""
-        return replace(self, **changes)
-
-    def of_size(self, vehicle: Vehicle) -> MpcParameters:
-        """As `ControllerParameters.of_size`."""
-        return self if size_of(vehicle) == ONE_TENTH else self.with_(**_sized(self, vehicle))
 
 
 LAWS = {"l1": ControllerParameters, "mpc": MpcParameters}
@@ -452,6 +442,6 @@ def save_controller_parameters(
     """
     with replacing(path) as file:
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
-        yaml.safe_dump(parameter_values(parameters), file, sort_keys=False)
+        file.write(yaml_text(parameter_values(parameters)))
         if limits is not None:
-            yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)
+            file.write(yaml_text({"safety": asdict(limits)}))

@@ -18,6 +18,7 @@ from ..errors import EvaluationError, ParameterError
 from ..vehicle.size import size_of
 from .analysis import RunAnalysis
 from .day_grip import DayGrip, grip_of_day
+from .drive_model import DriveModel
 
 __all__ = ["STEP", "Advice", "SectorAdvice", "advice_notes", "advice_table", "advise"]
 
@@ -40,10 +41,6 @@ _BESIDE = 3
 _HELD = 0.99
 # Braking must reach the speed of a slower sector within this distance [m].
 _SLOWING = 1.5
-# Models of a drive that are tried: these lags [s], with the largest accelerations seen as limits,
-# or without limits.
-_LAGS = (0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45)
-_LIMITED = 0.9  # limits must reduce the error to less than this share
 
 
 class SectorAdvice(NamedTuple):
@@ -195,7 +192,9 @@ class _Heat:
         self.time = float(np.mean([lap.lap.lap_time_s for lap in profile.counted]))
         self.v = self._mean("v")
         # A command that the car does not follow says nothing about the drive.
-        self.command = self._mean("v_command") if run.followed else np.full(self.v.size, math.nan)
+        self.command = np.full(self.v.size, math.nan)
+        if run.result.commands_followed:
+            self.command = self._mean("v_command")
         controller = run.settings.controller if run.settings is not None else None
         known = {
             name: getattr(controller, key)
@@ -378,7 +377,7 @@ class _Heat:
         ratio = ratio / np.maximum(other, 1e-6)
         command, speed = self.command, self.v * ratio
         if np.isfinite(command).all():
-            drive = _Drive.fitted(command, self.v, self.ds)
+            drive = DriveModel.fitted(command, self.v, self.ds)
             speed = self.v * drive.driven(command * ratio) / drive.driven(command)
         time, driven = (float(np.sum(1.0 / np.maximum(v, 0.1))) for v in (speed, self.v))
         return self.time * time / driven
@@ -393,47 +392,6 @@ def _stretches(sectors, line):
         if begin == end:
             begin, end = 0.0, line.length
         yield begin, end, one.scale
-
-
-class _Drive(NamedTuple):
-    """A drive that follows its command with a lag [s], within limits [m/s^2], over a closed lap."""
-
-    lag: float
-    drive: float
-    brake: float
-    ds: float
-
-    @classmethod
-    def fitted(cls, command, v, ds):
-        """The model that explains the speeds best."""
-        a = v * np.gradient(v, ds)
-        most, least = float(np.percentile(a, 99)), float(-np.percentile(a, 1))
-        best, error = None, math.inf
-        limits = [(drive, brake) for drive in (math.inf, most) for brake in (math.inf, least)]
-        for drive, brake in limits:
-            free = math.isinf(drive) and math.isinf(brake)
-            for lag in _LAGS:
-                one = cls(lag, drive, brake, ds)
-                rms = float(np.sqrt(np.mean((one.driven(command) - v) ** 2)))
-                if rms < (error if free else _LIMITED * error):
-                    best, error = one, rms
-        return best
-
-    def driven(self, command):
-        """Speeds for a command at the places of a lap [m/s]."""
-        speeds = [0.0] * len(command)
-        commands = np.maximum(command, 0.1).tolist()
-        v, ds, lag, drive, brake = commands[0], self.ds, self.lag, self.drive, -self.brake
-        exp = math.exp
-        for _ in range(2):  # after the first lap, the initial state no longer matters
-            for i, wanted in enumerate(commands):
-                speeds[i] = v
-                step = ds / v
-                a = (wanted - v) * (1.0 - exp(-step / lag)) / step
-                v += (drive if a > drive else brake if a < brake else a) * step
-                if v < 0.1:
-                    v = 0.1
-        return np.array(speeds)
 
 
 def advice_table(advice: Advice) -> list[list[str]]:

@@ -10,9 +10,8 @@ import numpy as np
 from ..bags.remarks import Remarks
 from ..bags.samples import Recording
 from ..control.settings import Settings
-from .doubts import unfollowed
 from .driving import PoseTiming, SpeedTracking, pose_timing, speed_tracking
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .places import (
     Corner,
     Ideal,
@@ -57,8 +56,6 @@ class RunAnalysis:
         Speed planned by the controller, at the places of the profile [m/s].
     delays : dict or None
         Delays of the car, as `map_racing.identification.delay.delay_data` has them.
-    followed : bool
-        Whether the car's speed follows the one commanded, see `map_racing.evaluation.doubts`.
     notes : list of str
     """
 
@@ -74,7 +71,6 @@ class RunAnalysis:
     limits: CarLimits | None
     planned: np.ndarray | None
     delays: dict | None = None
-    followed: bool = True
     notes: list = field(default_factory=list)
 
     @property
@@ -114,7 +110,6 @@ def analyze(
     """
     profile = profiles_of(recording, result, limits)
     track = profile.track
-    followed = not unfollowed(recording)
     planned = settings.planned_speed(result.raceline) if settings is not None else None
     return RunAnalysis(
         name or result.source,
@@ -123,13 +118,12 @@ def analyze(
         corners_of(track),
         ideal_lap(profile) if profile.counted else None,
         pose_timing(recording, LapLimits().on(result.raceline)),
-        speed_tracking(recording) if followed else None,
+        speed_tracking(recording) if result.commands_followed else None,
         remarks or Remarks([], []),
         settings,
         limits,
         None if planned is None else planned(track.s + track.start_s),
         delays,
-        followed,
         [*profile.notes, *(settings.notes if settings is not None else ())],
     )
 

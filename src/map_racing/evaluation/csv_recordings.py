@@ -13,7 +13,8 @@ from ..bags.samples import Commands, Recording, in_order, jump_back, usable
 from ..bags.series import FrameChoice, followed, quaternion_note
 from ..errors import FileFormatError, ParameterError
 from ..printing import printable
-from ..tables import UNITS, column_index, read_columns, some_names, without_unit
+from ..tables import column_index, read_columns, some_names, units_to_si, without_unit
+from ..units import unit_at_end
 
 __all__ = ["parse_columns", "read_csv_recording"]
 
@@ -46,6 +47,10 @@ _ALIASES = {
         *("speed_command", "speed_cmd", "cmd_speed", "v_command", "v_cmd", "target_speed"),
         *("desired_speed", "translational_control", "drive.speed"),
     ),
+}
+_QUANTITIES = {
+    **{"t": "time", "x": "length", "y": "length", "psi": "angle", "steering": "angle"},
+    **{"v_x": "speed", "v_y": "speed", "speed_command": "speed", "yaw_rate": "turn rate"},
 }
 # Also read if present: the orientation, and the time of receipt of a message.
 _QUATERNION = {
@@ -102,9 +107,10 @@ def read_csv_recording(path: str | Path, columns: str | dict | None = None) -> R
     doubts = []
     table = read_columns(path, partial(_locate, path, columns, doubts), _UNNAMED, _frame_column)
     table.notes.extend(doubts)
-    for name, unit in table.units.items():
-        table.values[name] = table.values[name] * UNITS.get(unit, 1.0)
-    _bring_to_seconds(table)
+    factors = units_to_si(table, {k: v for k, v in _QUANTITIES.items() if k in table.names})
+    for name, factor in factors.items():
+        table.values[name] = factor * table.values[name]
+    _bring_to_seconds(table, "t" in factors)
     frame = _keep_one_frame(table)
     _check_times(path, table)
     _add_heading(table)
@@ -157,8 +163,8 @@ def _commands(table, start):
     return Commands(t - start, *values, " ".join(table.names[name] for name in names))
 
 
-def _bring_to_seconds(table):
-    """Nanoseconds to seconds; times of receipt where stamps are 0."""
+def _bring_to_seconds(table, stated):
+    """Nanoseconds to seconds, unless the unit is stated; times of receipt where stamps are 0."""
     t, name = table.values["t"], table.names["t"]
     received = table.values.get("received")
     if received is not None and _plain(name) == "header.stamp":
@@ -171,7 +177,7 @@ def _bring_to_seconds(table):
     with np.errstate(invalid="ignore"):
         known = np.abs(t[np.isfinite(t)])
         since_1970 = known.size and np.all((known > _SINCE_1970) & (known < 1e9 * _LATEST))
-    if since_1970 or _plain(name) in _NANOSECONDS:
+    if since_1970 or (_plain(name) in _NANOSECONDS and not stated):
         table.notes.append(f"column {name}: nanoseconds")
         t = t * 1e-9
     table.values["t"] = t
@@ -305,15 +311,21 @@ def _locate(path, columns, doubts, names):
             where[name] = column_index(path, names, columns[name])
             continue
         found = next((alias for alias in aliases if alias in plain), None)
+        having = plain
+        if found is None and name in _QUANTITIES:
+            having = [unit_at_end(column, _QUANTITIES[name])[0] for column in plain]
+            found = next((alias for alias in aliases if alias in having), None)
+            if name == "t" and having.count(found) > 1:  # such as stamp_sec and stamp_nsec
+                found = None
         if found is not None:
-            where[name] = plain.index(found)
-            others = [alias for alias in aliases if alias in plain and alias != found]
+            where[name] = having.index(found)
+            others = [alias for alias in aliases if alias in having and alias != found]
             if name in ("x", "y") and others:
                 doubts.append(
                     f"warning: {name} is column {found}; {', '.join(others)} may be the car's, too "
                     f"(--columns {name}={others[0]})"
                 )
-            if plain.count(found) > 1:
+            if having.count(found) > 1:
                 doubts.append(f"warning: several columns are named {found}: the first is taken")
         elif name in _REQUIRED:
             missing.append(name)

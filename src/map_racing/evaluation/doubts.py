@@ -11,7 +11,7 @@ from ..bags.lags import lag_of_effect
 from ..bags.samples import Commands, Recording, is_map_frame, is_odometry_frame
 from ..bags.series import commands_of_two
 from .pose_doubts import rounded, set_aside, to_and_fro
-from .results import NOT_FOLLOWED, Lap
+from .results import Lap
 from .speed import MOVING_MPS, beyond_for_a_while, chords, speed_of
 from .speed_doubts import is_measured, speed_doubts
 
@@ -360,7 +360,7 @@ def unfollowed(recording: Recording) -> str:
     if not found:
         return ""
     return (
-        f"{commands.topic}: {NOT_FOLLOWED} (correlation at "
+        f"{commands.topic}: the car's speed does not follow the speed commanded (correlation at "
         f"most {max(found):.2f}): speed errors are meaningless"
     )
 

@@ -16,7 +16,7 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError, ParameterError
 from ..track.files.table import RacelineTable
 from ..vehicle.size import ONE_TENTH, Size
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .runs import evaluate
 
 __all__ = ["DrivenLap", "driven_laps", "line_of_lap"]
@@ -155,7 +155,7 @@ def _fault(recording, begin, end, relative_length, size):
     inside = (recording.t >= begin) & (recording.t <= end)
     t = np.concatenate(([begin], recording.t[inside], [end]))
     faults = []
-    if np.max(np.diff(t)) > limits.max_gap:
+    if limits.is_gap(np.max(np.diff(t))):
         faults.append("gap")
     step = np.hypot(np.diff(recording.x[inside]), np.diff(recording.y[inside]))
     fastest, margin = limits.max_speed * size.time, limits.jump_margin * size.length

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..bags.samples import Recording
-from .laps import LapLimits
+from .lap_limits import LapLimits
 from .speed import MOVING_MPS
 
 __all__ = ["PoseTiming", "SpeedTracking", "pose_timing", "speed_tracking"]
@@ -137,7 +137,8 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     limits = limits or LapLimits()
     between = np.diff(recording.t)
     # Not the median: if times alternate, it is one of the two.
-    usual = between[between <= limits.max_gap]
+    gaps = limits.is_gap(between)
+    usual = between[~gaps]
     moved = np.hypot(np.diff(recording.x), np.diff(recording.y))
     jumped = moved > limits.max_speed * between + limits.jump_margin
     age = oldest = math.nan
@@ -152,7 +153,7 @@ def pose_timing(recording: Recording, limits: LapLimits | None = None) -> PoseTi
     return PoseTiming(
         float(1.0 / np.mean(usual if usual.size else between)),
         float(between.max()),
-        int(np.count_nonzero(between > limits.max_gap)),
+        int(np.count_nonzero(gaps)),
         int(np.count_nonzero(jumped)),
         float(moved[jumped].max()) if jumped.any() else 0.0,
         age,

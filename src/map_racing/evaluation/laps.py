@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,14 +27,13 @@ from ..errors import ParameterError
 from ..track.raceline import Raceline
 from ..track.tracker import RacelineTracker
 from ..validation import FARTHEST
+from .lap_limits import NO_WALLS, LapLimits
 from .results import Lap, LapTrace, RunResult, Summary
 from .speed import REPEATED_M, speed_of
 from .statistics import mean, mean_abs, mean_rate, percentile_abs, rms
+from .stops import stops
 
-__all__ = ["NO_WALLS", "LapEvaluator", "LapLimits", "passage_times"]
-
-NO_WALLS = 2.0
-"""Largest deviation [m] if neither walls nor a limit are known."""
+__all__ = ["LapEvaluator", "check_options", "passage_times"]
 
 _NAN = math.nan
 # Shorter stretches [m], [s] are jitter of a car parked on the line.
@@ -46,52 +44,9 @@ _FAULTS = {"gap": "s", "jump": "m", "shortcut": "m", "reverse": "m"}  # with the
 # In a tight bend the nearest point of the raceline may move this far [m] while the car hardly
 # moves.
 _SHORTCUT = 3.0
-# A car stands if it moves less than this [m] in this time [s], until it leaves this radius [m].
-_STANDING, _STANDING_TIME, _STANDING_RADIUS = 0.15, 0.5, 0.05
-_BRAKING_TIME = 0.1  # time over which deceleration is measured [s]
 # A stretch ends after this many samples (83 minutes at 100 Hz): a car parked overnight during a
 # lap, or a track that never closes, would fill the memory.
 _MOST_SAMPLES = 500_000
-
-
-@dataclass(frozen=True)
-class LapLimits:
-    """Limits beyond which a lap does not count.
-
-    Attributes
-    ----------
-    max_gap : float
-        Longest time between two samples [s]; at 11 m/s the default is 2.75 m.
-    max_speed : float
-        Fastest motion of the pose [m/s], or 1.5 times the measured speed if that is more; a step
-        longer than that by `jump_margin` is a jump.
-    jump_margin : float
-        Largest correction of the localization that is no jump [m].
-    max_reverse : float
-        Farthest that the car may roll back along the track [m].
-    max_deviation : float, optional
-        Largest lateral deviation [m]. By default the center of the car must stay between the walls
-        or, where the raceline has none, within 2 m. Walls in a raceline file are often drawn
-        tighter than the hall; this overrides them.
-    max_stop : float
-        Longest time that the car may stand [s].
-    max_deceleration : float
-        Hardest braking [m/s^2], over 0.1 s; only a wall stops a car faster.
-    """
-
-    max_gap: float = 0.25
-    max_speed: float = 20.0
-    jump_margin: float = 0.3
-    max_reverse: float = 0.5
-    max_deviation: float | None = None
-    max_stop: float = 0.3
-    max_deceleration: float = 25.0
-
-    def on(self, raceline: Raceline) -> LapLimits:
-        """These limits with a `max_speed` of at least 1.5 times the raceline's largest speed."""
-        if raceline.speed is None:
-            return self
-        return replace(self, max_speed=max(self.max_speed, 1.5 * float(np.max(raceline.speed))))
 
 
 class _Sample(NamedTuple):
@@ -299,7 +254,7 @@ class LapEvaluator:
         if crossed > self._crossed:
             last, sample = _Sample._make(last), _Sample._make(sample)
             # A localization slower than its messages repeats its pose while the car drives on.
-            if changed < last.t and t - changed <= limits.max_gap:
+            if changed < last.t and not limits.is_gap(t - changed):
                 last = last._replace(t=changed)
             self._cross(crossed, last, sample, faults)
 
@@ -312,14 +267,14 @@ class LapEvaluator:
         limits, faults, gap = self.limits, {}, sample.t - last.t
         if moved > limits.jump_margin:
             gap = since
-        if gap > limits.max_gap:
+        if limits.is_gap(gap):
             faults["gap"] = max(gap, self._faults.get("gap", 0.0))
         fastest = 1.5 * min(last.v, sample.v)
         if not fastest > limits.max_speed:  # also if no speed is measured (NaN)
             fastest = limits.max_speed
         if moved > fastest * since + limits.jump_margin:
             faults["jump"] = max(moved, self._faults.get("jump", 0.0))
-        elif self._tracker.reacquired and gap <= limits.max_gap:
+        elif self._tracker.reacquired and not limits.is_gap(gap):
             along = abs(sample.progress - last.progress)
             if along > 3.0 * moved + _SHORTCUT:
                 faults["shortcut"] = max(along, self._faults.get("shortcut", 0.0))
@@ -381,7 +336,9 @@ class LapEvaluator:
             clearance = float(np.min(np.minimum(left - d, right + d)))
         reasons = self._reasons(reason, clearance, magnitude.max())
         if complete:
-            reasons += self._stops(t, x, y, progress)
+            for stop, at in stops(t, x, y, progress, self.limits):
+                s = (float(np.interp(at, t, progress)) + self._start_s) % self.raceline.length
+                reasons.append(f"{stop} at s = {s:.1f} m")
         duration = float(t[-1] - t[0])
         trace = LapTrace(t, x, y, progress - begin, d, v, command) if self._keep_traces else None
         return Lap(
@@ -418,57 +375,6 @@ class LapEvaluator:
             outside = largest - NO_WALLS if math.isnan(clearance) else -clearance
         if outside > 0.0:
             reasons.append(f"off track by {outside:.2f} m")
-        return reasons
-
-    def _stops(self, t, x, y, progress):
-        """Reasons: the car stood, or stopped harder than its brakes can."""
-        moved = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
-        moved[-1] = True
-
-        t_new, x_new, y_new = t[moved], x[moved], y[moved]
-
-        def at(times):
-            return np.interp(times, t_new, x_new), np.interp(times, t_new, y_new)
-
-        def distance(begin, end):
-            return np.hypot(end[0] - begin[0], end[1] - begin[1])
-
-        def place(time):
-            s = float(np.interp(time, t, progress)) + self._start_s
-            return f"s = {s % self.raceline.length:.1f} m"
-
-        reasons = []
-        begin = t[t <= t[-1] - _STANDING_TIME]
-        slow = begin[distance(at(begin), at(begin + _STANDING_TIME)) < _STANDING]
-        if slow.size:
-            # Only the longest stop is reported.
-            pieces = np.split(slow, np.flatnonzero(np.diff(slow) > _STANDING_TIME) + 1)
-            longest = max(pieces, key=lambda piece: piece[-1] - piece[0])
-            inside = (t >= longest[0]) & (t <= longest[-1] + _STANDING_TIME)
-            away = np.hypot(x - np.median(x[inside]), y - np.median(y[inside]))
-            still = t[inside & (away < _STANDING_RADIUS)]
-            stood = float(still[-1] - still[0]) if still.size else 0.0
-            if stood > self.limits.max_stop:
-                reasons.append(f"stood {stood:.1f} s at {place(still[0])}")
-        wait = max(_BRAKING_TIME, 2.0 * float(np.median(np.diff(t))))
-        now = t[(t >= t[0] + wait) & (t <= t[-1] - 3.0 * wait)]
-        least = self.limits.max_deceleration * wait
-        at_now, at_end = at(now), at(now + wait)
-        before = distance(at(now - wait), at_now) / wait
-        after = distance(at_now, at_end) / wait
-        if now.size and np.max(before - after) > least:
-            s_1, s_2, s_3 = (np.interp(now + by, t, progress) for by in (-wait, 0.0, wait))
-            # Corrections of the localization are not stops: neither sideways ones nor those
-            # backwards after which the car is no slower.
-            drop = np.minimum(before - after, (2.0 * s_2 - s_1 - s_3) / wait)
-            later = distance(at_end, at(now + 3.0 * wait)) / (2.0 * wait)
-            drop = np.where(later < 0.5 * before, drop, 0.0)
-            worst = int(np.argmax(drop))
-            if drop[worst] > least:
-                reasons.append(
-                    f"stopped from {before[worst]:.1f} to {after[worst]:.1f} m/s at "
-                    f"{place(now[worst])}"
-                )
         return reasons
 
     def _sector_times(self, t, s, complete):

@@ -20,7 +20,8 @@ from ..track.findings import raceline_warnings
 from ..track.raceline import Raceline
 from ..validation import FARTHEST
 from .doubts import uncommanded
-from .laps import LapEvaluator, LapLimits, check_options
+from .lap_limits import LapLimits
+from .laps import LapEvaluator, check_options
 from .live_commands import LONGEST_WAIT, CommandClock, Commands
 from .live_history import History
 from .recordings import same_raceline

@@ -12,10 +12,7 @@ import numpy as np
 from ..bags.messages import BELIEF_FIELDS
 from ..track.raceline import Raceline
 
-__all__ = ["NOT_FOLLOWED", "Lap", "LapTrace", "RunResult", "Summary"]
-
-# In the warning about a commanded speed that is none, such as a throttle.
-NOT_FOLLOWED = "the car's speed does not follow the speed commanded"
+__all__ = ["Lap", "LapTrace", "RunResult", "Summary"]
 
 
 class LapTrace(NamedTuple):
@@ -201,6 +198,8 @@ class RunResult:
         File of the recording.
     notes : tuple of str
         Notes on reading and evaluation; warnings begin with ``warning:``.
+    commands_followed : bool
+        Whether the car's speed follows the one commanded, as `evaluate` finds it.
     """
 
     laps: list[Lap]
@@ -209,6 +208,7 @@ class RunResult:
     start_s: float = 0.0
     source: str = ""
     notes: tuple = ()
+    commands_followed: bool = True
 
     def places_of(self, lap: Lap) -> np.ndarray:
         """Arc lengths along the raceline of the samples of a lap.
@@ -237,11 +237,6 @@ class RunResult:
         if not driven:
             return "no lap was completed"
         return f"no lap counts ({'; '.join(dict.fromkeys(driven))})"
-
-    @property
-    def commands_followed(self) -> bool:
-        """Whether no warning says that the commanded speed is none that the car follows."""
-        return not any(NOT_FOLLOWED in text for text in self.warnings)
 
     @property
     def warnings(self) -> list[str]:

@@ -11,8 +11,9 @@ from ..bags.samples import Recording
 from ..errors import EvaluationError
 from ..track.findings import WARNING, raceline_warnings
 from ..track.raceline import Raceline
-from .doubts import alternation, doubts_of, uncommanded
-from .laps import NO_WALLS, LapEvaluator, LapLimits
+from .doubts import alternation, doubts_of, uncommanded, unfollowed
+from .lap_limits import NO_WALLS, LapLimits
+from .laps import LapEvaluator
 from .recordings import recorded_runs
 from .results import RunResult
 
@@ -141,7 +142,12 @@ def evaluate(
     notes = [*recording.notes, *(f"warning: {doubt}" for doubt in doubts)]
     if progress < -0.5 * raceline.length:
         notes.append(f"the car drove against the direction of the raceline {_name(raceline)}")
-    return replace(result, source=recording.source, notes=tuple(notes))
+    return replace(
+        result,
+        source=recording.source,
+        notes=tuple(notes),
+        commands_followed=not unfollowed(recording),
+    )
 
 
 def _check_followed(recording, result, progress, max_deviation):

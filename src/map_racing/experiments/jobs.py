@@ -45,7 +45,8 @@ __all__ = [
 # Packages and modules that determine a race and its measurements.
 _DECISIVE = (
     *("vehicle", "track", "control", "simulation"),
-    *(f"evaluation/{name}.py" for name in ("laps", "results", "speed", "statistics")),
+    *(f"evaluation/{name}.py" for name in ("lap_limits", "laps", "results", "speed")),
+    *(f"evaluation/{name}.py" for name in ("statistics", "stops")),
     *("experiments/conditions.py", "experiments/jobs.py"),
 )
 

@@ -26,10 +26,10 @@ from ..bags.ros2 import METADATA, SUFFIXES
 from ..bags.samples import SIMULATED, date_of
 from ..control.settings import parse_settings
 from ..errors import EvaluationError, MapRacingError
-from ..evaluation.laps import LapLimits
+from ..evaluation.lap_limits import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.runs import evaluate_runs
-from ..files import make_folder, write_json
+from ..files import make_folder, read_json, write_json
 from ..resources import fingerprint_of_code, list_config
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
@@ -100,7 +100,7 @@ class BagOptions(NamedTuple):
     car_width : float
         See `map_racing.evaluation.laps.LapEvaluator`.
     max_deviation : float or None
-        See `map_racing.evaluation.laps.LapLimits`.
+        See `map_racing.evaluation.lap_limits.LapLimits`.
     """
 
     tracks: tuple = ()
@@ -363,7 +363,7 @@ def _state(stamp, asked):
 def _kept(folder, path, asked):
     """Stored rows of a bag that has not changed; otherwise None."""
     try:
-        record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
+        record = read_json(_record(folder, path))
         if record["state"] != _state(_stamp(path), asked):
             return None
         return [

@@ -13,7 +13,7 @@ import pandas as pd
 
 from ..control.parameters import ControllerParameters, load_law, save_controller_parameters
 from ..errors import ParameterError
-from ..files import make_folder, replacing, write_json
+from ..files import make_folder, replacing, together, write_json
 from ..identification.report import report_data
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
@@ -211,9 +211,10 @@ class Session(Races):
     def _identify(self, plant, seed):
         """Identify the car on the plant, with Pacejka and with linear tires."""
         found = identify_on(plant, seed, self.folder / "ramps.bag")
-        save_vehicle(found.vehicle, self.folder / "identified.yaml")
-        save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
-        write_json(self.folder / "identification.json", report_data(found))
+        with together():
+            save_vehicle(found.vehicle, self.folder / "identified.yaml")
+            save_vehicle(found.linear_vehicle, self.folder / "identified_linear.yaml")
+            write_json(self.folder / "identification.json", report_data(found))
         self.identification = {
             "ramps": "ramps.bag",
             "seed": seed,
@@ -251,10 +252,11 @@ class Session(Races):
             found = tuned[label]
             names = found.controller.TUNED
             pair = tuple(getattr(found.controller, name) for name in names)
-            save_controller_parameters(found.controller, folder / f"{stem}.yaml")
             frame = frame_of(found)
-            with replacing(folder / f"{stem}.csv") as file:
-                frame.to_csv(file, index=False)
+            with together():
+                save_controller_parameters(found.controller, folder / f"{stem}.yaml")
+                with replacing(folder / f"{stem}.csv") as file:
+                    frame.to_csv(file, index=False)
             title = f"Tuning {label}: {self.where}, {scale:.0%} speed"
             error = [pair.error for pair in found.pairs]
             with own_settings():

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import ParameterError
 from ..files import read_yaml_mapping
 from ..resources import find_config
-from ..tables import UNITS
+from ..units import SI, factor_to_si
 from ..validation import finite
 
 __all__ = ["Channel", "ChannelMap", "SensorSetup", "load_channel_map"]
@@ -19,6 +19,11 @@ __all__ = ["Channel", "ChannelMap", "SensorSetup", "load_channel_map"]
 POSE = ("x", "y", "psi")
 INERTIAL = ("yaw_rate", "a_x", "a_y", "a_z")
 CHANNELS = (*POSE, "v_x", "v_y", *INERTIAL, "steering", "speed_command")
+QUANTITIES = {
+    **{"x": "length", "y": "length", "psi": "angle", "time": "time", "pose_time": "time"},
+    **{"v_x": "speed", "v_y": "speed", "speed_command": "speed", "yaw_rate": "turn rate"},
+    **{"a_x": "acceleration", "a_y": "acceleration", "a_z": "acceleration", "steering": "angle"},
+}
 
 
 @dataclass(frozen=True)
@@ -111,24 +116,24 @@ class Channel:
     offset: float = 0.0
 
     def __post_init__(self):
-        if self.unit and self.unit not in UNITS:
-            raise ParameterError(f"unit: expected {', '.join(UNITS)}, got {self.unit!r}")
         for name in ("scale", "offset"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
 
-    def to_si(self, raw: np.ndarray) -> np.ndarray:
+    def to_si(self, raw: np.ndarray, name: str) -> np.ndarray:
         """The values in SI units.
 
         Parameters
         ----------
         raw : ndarray, shape (n,)
             As recorded, in `unit`.
+        name : str
+            Of the channel, a key of `QUANTITIES`.
 
         Returns
         -------
         ndarray, shape (n,)
         """
-        return raw * (self.scale * UNITS.get(self.unit, 1.0)) + self.offset
+        return raw * (self.scale * factor_to_si(QUANTITIES[name], self.unit)) + self.offset
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,14 @@ class ChannelMap:
     channels: dict[str, Channel] = field(default_factory=dict)
     pose_topic: str | None = None
     setup: SensorSetup = SensorSetup()
+
+    def __post_init__(self):
+        for name, channel in self.channels.items():
+            if factor_to_si(QUANTITIES[name], str(channel.unit)) is None:
+                expected = SI[QUANTITIES[name]]
+                raise ParameterError(
+                    f"{name}: unit: expected one such as {expected}, got {channel.unit!r}"
+                )
 
 
 def load_channel_map(source: str | Path) -> ChannelMap:

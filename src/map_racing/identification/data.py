@@ -21,8 +21,8 @@ from ..bags.samples import Recording, in_order, jump_back, usable
 from ..errors import FileFormatError, ParameterError
 from ..printing import printable
 from ..resources import find_config
-from ..tables import column_index, read_columns
-from .channels import INERTIAL, POSE, ChannelMap, SensorSetup
+from ..tables import column_index, read_columns, units_to_si
+from .channels import INERTIAL, POSE, QUANTITIES, ChannelMap, SensorSetup
 
 __all__ = ["Run", "Signal", "is_age", "load_run", "run_of"]
 
@@ -145,7 +145,7 @@ def _load_bag(source, channel_map):
             raise ParameterError(
                 f"{path}: {name}: expected {', '.join(columns)} of {channel.source}, got {wanted!r}"
             )
-        signals[name] = t, channel.to_si(columns[wanted])
+        signals[name] = t, channel.to_si(columns[wanted], name)
     return run_of(recording, path, signals, channel_map.setup)
 
 
@@ -223,10 +223,12 @@ def _load_csv(path, channel_map):
     table, notes = columns.values, columns.notes
     if command and command.source not in table:
         del channels["speed_command"]
-        notes = [*notes, f"speed_command: no column {command.source!r}: left out"]
-    clocks, channels = (_with_units(some, columns.units) for some in (clocks, channels))
-    t = clocks["time"].to_si(table[clocks["time"].source])
-    values = {name: channel.to_si(table[channel.source]) for name, channel in channels.items()}
+        notes.append(f"speed_command: no column {command.source!r}: left out")
+    clocks, channels = (_with_units(some, columns) for some in (clocks, channels))
+    t = clocks["time"].to_si(table[clocks["time"].source], "time")
+    values = {
+        name: channel.to_si(table[channel.source], name) for name, channel in channels.items()
+    }
     _blank_before_first(values, table, channels, POSE, "pose", notes)
     _blank_before_first(values, table, channels, INERTIAL, "inertial", notes)
     back = jump_back(t[np.isfinite(t)])
@@ -234,7 +236,7 @@ def _load_csv(path, channel_map):
         raise FileFormatError(f"{path}: time jumps back by {back[1]:.1f} s: two runs in one file?")
     signals = {name: (t, value) for name, value in values.items()}
     if clocks["pose_time"] is not None:
-        pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source])
+        pose_t = clocks["pose_time"].to_si(table[clocks["pose_time"].source], "time")
         known = np.isfinite(t + pose_t + values["x"])
         if known.any():
             # A rough alignment; the yaw rates refine it later.
@@ -243,14 +245,20 @@ def _load_csv(path, channel_map):
     return _run(path, signals, channel_map.setup, notes, clocks["pose_time"] is not None)
 
 
-def _with_units(channels, units):
+def _with_units(channels, columns):
     """Channels with the units stated in the file, unless the channel map has a unit or scale."""
-    return {
-        name: dataclasses.replace(channel, unit=units.get(channel.source, ""))
-        if channel and not channel.unit and abs(channel.scale) == 1.0
-        else channel
+    plain = {
+        name: channel
         for name, channel in channels.items()
+        if channel and not channel.unit and abs(channel.scale) == 1.0
     }
+    quantities = {channel.source: QUANTITIES[name] for name, channel in plain.items()}
+    factors = units_to_si(columns, quantities)
+    scaled = {
+        name: dataclasses.replace(channel, scale=channel.scale * factors.get(channel.source, 1.0))
+        for name, channel in plain.items()
+    }
+    return {**channels, **scaled}
 
 
 def _blank_before_first(values, table, channels, names, what, notes):

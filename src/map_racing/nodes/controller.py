@@ -13,14 +13,12 @@ import rospy
 from ackermann_msgs.msg import AckermannDriveStamped
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Bool, Float64, Header, String
+from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger, TriggerResponse
 from tf2_msgs.msg import TFMessage
 
-from map_racing.msg import Belief, Guidance, Tracking
-
-from ..bags.topics import BELIEF_TOPIC, SETTINGS_TOPIC
-from ..control.controller import Controller, Status
+from ..bags.topics import SETTINGS_TOPIC
+from ..control.controller import Controller
 from ..control.decision import Mode
 from ..control.parameters import load_controller_parameters, load_safety_limits
 from ..control.settings import doubts_of, settings_text
@@ -38,6 +36,7 @@ from .diagnosis import Diagnosis
 from .node import FirstSender, SteadyClock, get_parameter, overridden, ros_home, run, trace
 from .priority import urgent
 from .saving import Saver
+from .telemetry import Telemetry
 from .transforms import TransformListener
 from .tuning import TuningServer
 from .watchdog import Watchdog
@@ -76,10 +75,6 @@ def _build():
     controller = Controller(parameters, steering_map, vehicle, grip=grip)
     names = {"name": source, "table": table}
     return controller, build_supervisor(controller, limits, grip), names, car
-
-
-def _publisher(topic, kind):
-    return rospy.Publisher(topic, kind, queue_size=10)
 
 
 class ControllerNode:
@@ -158,14 +153,8 @@ class ControllerNode:
     def _advertise(self):
         # With a queue of 1, rospy on a busy computer drops commands, different ones for each
         # subscriber.
-        self._drive = _publisher("drive", AckermannDriveStamped)
-        self._guidance = _publisher("guidance", Guidance)
-        self._tracking = _publisher("tracking", Tracking)
-        self._belief = _publisher(BELIEF_TOPIC, Belief)
-        self._numbers = {
-            name: _publisher(name, Float64)
-            for name in ("lateral_error", "speed_error", "latency", "pose_age")
-        }
+        self._drive = rospy.Publisher("drive", AckermannDriveStamped, queue_size=10)
+        self._telemetry = Telemetry(self._controller, self._supervisor)
         self._driven = rospy.Publisher(
             "driven_waypoints", waypoint_array_class()[0], queue_size=1, latch=True
         )
@@ -240,7 +229,8 @@ class ControllerNode:
         latency = time.perf_counter() - begin
         self._controller.learn()
         self._diagnosis.add(latency, result)
-        self._show(header, state, result, decision, latency)
+        if result is not None:
+            self._telemetry.publish(header, state, result, decision, latency)
 
     def _refuse_frame(self, now, header):
         rospy.logerr_throttle(
@@ -284,60 +274,6 @@ class ControllerNode:
         command.drive.steering_angle = steering_angle
         command.drive.speed = speed
         self._drive.publish(command)
-
-    def _show(self, header, state, result, decision, latency):
-        """Publish guidance and figures on the topics that have subscribers."""
-        if result is None:
-            return
-        numbers = {
-            "lateral_error": lambda: self._controller.lateral_error(state, result),
-            "speed_error": lambda: state.v_x - decision.speed,
-            "latency": lambda: latency,
-            "pose_age": lambda: self._supervisor.pose_age,
-        }
-        for name, value in numbers.items():
-            if self._numbers[name].get_num_connections():
-                self._numbers[name].publish(value())
-        if self._tracking.get_num_connections():
-            self._tracking.publish(
-                header=header,
-                **{name: value() for name, value in numbers.items()},
-                speed=state.v_x,
-                speed_command=decision.speed,
-                steering_angle=decision.steering_angle,
-                lateral_acceleration=state.v_x * state.r,
-                lateral_acceleration_limit=self._controller.max_lateral_acceleration(state.v_x),
-            )
-        learned = self._controller.adaptation
-        if learned is not None and self._belief.get_num_connections():
-            self._belief.publish(header=header, **learned.belief._asdict())
-        if self._guidance.get_num_connections() and result.status not in _UNGUIDED:
-            self._publish_guidance(header, result, decision)
-
-    def _publish_guidance(self, header, result, decision):
-        guided = result.state
-        self._guidance.publish(
-            header=header,
-            mode=decision.mode.value,
-            reason=decision.reason.value,
-            status=result.status.value,
-            saturated=result.status is Status.SATURATED,
-            x=guided.x,
-            y=guided.y,
-            psi=guided.psi,
-            v_x=guided.v_x,
-            v_y=guided.v_y,
-            s=result.s,
-            d=result.d,
-            lookahead_x=result.lookahead_x,
-            lookahead_y=result.lookahead_y,
-            lookahead_distance=result.lookahead_distance,
-            eta=result.eta,
-            a_lat=result.a_lat,
-            a_lat_max=self._controller.max_lateral_acceleration(guided.v_x),
-            steering_angle=decision.steering_angle,
-            speed=decision.speed,
-        )
 
     def _end(self):
         """Stop the car before the node ends."""
@@ -463,9 +399,6 @@ class ControllerNode:
             learned.forget()
         rospy.loginfo("adaptation reset to the vehicle file")
         return TriggerResponse(True, "adaptation reset to the vehicle file")
-
-
-_UNGUIDED = (Status.INVALID_STATE, Status.NO_RACELINE)
 
 
 def main():

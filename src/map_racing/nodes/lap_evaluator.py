@@ -19,8 +19,8 @@ from ..bags.series import FrameChoice, followed
 from ..bags.topics import BELIEF_TOPIC
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.doubts import frame_warning
+from ..evaluation.lap_limits import LapLimits
 from ..evaluation.lap_log import LapLog
-from ..evaluation.laps import LapLimits
 from ..evaluation.live import LiveEvaluation
 from ..evaluation.report import lap_table
 from ..track.files.load import load_raceline

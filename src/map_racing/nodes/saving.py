@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..control.parameters import save_controller_parameters
 from ..errors import MapRacingError
+from ..files import together
 from ..vehicle.parameters import save_vehicle
 
 if TYPE_CHECKING:
@@ -85,8 +86,10 @@ class Saver:
                 "file, such as one with {time}"
             )
         when = time.strftime("%Y-%m-%d %H:%M UTC", now)
-        save_vehicle(vehicle, vehicle_path, f"{summary}\n{when}; the vehicle was {self._vehicle}.")
-        save_controller_parameters(parameters, controller_path, limits)
+        comment = f"{summary}\n{when}; the vehicle was {self._vehicle}."
+        with together():
+            save_vehicle(vehicle, vehicle_path, comment)
+            save_controller_parameters(parameters, controller_path, limits)
         return [str(controller_path), str(vehicle_path)]
 
 

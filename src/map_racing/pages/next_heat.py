@@ -76,7 +76,7 @@ def _delay_rows(run):
         ("speed_lookahead_s", "delay of the drive beyond that", delays["speed_lookahead"]),
     ):
         value = delays[key]
-        if key == "speed_lookahead_s" and not run.followed:
+        if key == "speed_lookahead_s" and not run.result.commands_followed:
             value, entry = None, {"reason": "the speed does not follow its command"}
         if value is None:
             rows.append([what, "not determined", "", "", entry["reason"]])

@@ -327,7 +327,10 @@ def _laps(runs):
         head += ["speed error", "saturated", "counts"]
         saturated = {id(profile.lap): profile.saturated for profile in run.profile.laps}
         rows = [
-            [*_lap_cells(lap, run.followed), _share([saturated.get(id(lap), math.nan)])]
+            [
+                *_lap_cells(lap, run.result.commands_followed),
+                _share([saturated.get(id(lap), math.nan)]),
+            ]
             for lap in laps
         ]
         rows = [[*row, "yes" if lap.valid else lap.reason] for row, lap in zip(rows, laps)]

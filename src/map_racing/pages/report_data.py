@@ -110,7 +110,7 @@ def _lap(run, index):
     total = float(time[known][-1]) if known.any() else 0.0
     even = total * track.s / track.length
     values = dict(profile.values)
-    if not run.followed:  # not a speed, such as a throttle
+    if not run.result.commands_followed:  # not a speed, such as a throttle
         values["v_command"] = np.full(track.s.size, math.nan)
     return {
         "index": index,

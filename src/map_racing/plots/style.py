@@ -20,6 +20,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from ..errors import MapRacingError
+from ..files import replacing
 
 __all__ = [
     "COLORS",
@@ -63,8 +64,9 @@ def save(figure: Figure, path: str | Path) -> None:
         with warnings.catch_warnings():
             # Ignore missing glyphs: they are drawn as boxes.
             warnings.filterwarnings("ignore", "Glyph")
-            figure.savefig(str(path), dpi=DPI)
-    except (OSError, ValueError) as error:
+            with replacing(path, binary=True) as file:
+                figure.savefig(file, format=Path(path).suffix[1:] or None, dpi=DPI)
+    except ValueError as error:
         raise MapRacingError(f"{path}: cannot write the figure: {error}") from None
 
 

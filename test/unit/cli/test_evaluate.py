@@ -14,7 +14,7 @@ from map_racing.bags.writer import BagWriter
 from map_racing.cli import main
 from map_racing.cli.evaluate import run_names
 from map_racing.cli.options.evaluate import add_evaluation_options
-from map_racing.evaluation.laps import LapLimits
+from map_racing.evaluation.lap_limits import LapLimits
 from map_racing.track.files.waypoints import waypoint_rows
 
 

@@ -12,7 +12,7 @@ from map_racing.control.parameters import load_controller_parameters
 from map_racing.control.settings import parse_settings, settings_text
 from map_racing.control.speed_sectors import SpeedSectors, load_speed_sectors, save_speed_sectors
 from map_racing.errors import EvaluationError, ParameterError
-from map_racing.evaluation.advice import _Drive, _stretches, advise
+from map_racing.evaluation.advice import _stretches, advise
 from map_racing.evaluation.analysis import analyze
 from map_racing.evaluation.day_grip import grip_of_day
 from map_racing.evaluation.profiles import car_limits
@@ -88,6 +88,7 @@ def test_a_command_that_the_speed_does_not_follow_is_no_base(heat, reference, li
     other = replace(run.recording, commands=replace(commands, speed=4.0 - 0.8 * commands.speed))
     result = evaluate(other, reference)
     assert any("does not follow the speed commanded" in warning for warning in result.warnings)
+    assert not result.commands_followed
     run = analyze(other, result, limits=limits)
     assert run.tracking is None
     advice = advise(run, step=0.1)
@@ -280,39 +281,6 @@ def test_without_commands_any_day_s_grip_is_taken(driving, reference, limits):
 
 def test_a_vehicle_file_of_another_car_is_noticed(heat):
     assert any("the file of another car" in note for note in advise(heat(1.1)).notes)
-
-
-# -- the drive -------------------------------------------------------------------------------------
-
-
-def sweep(count=600, ds=0.06):
-    s = ds * np.arange(count)
-    return 4.0 + 1.5 * np.sin(2.0 * np.pi * s / (count * ds)), ds
-
-
-def test_the_lag_of_a_drive_is_found():
-    command, ds = sweep()
-    for lag in (0.06, 0.2):
-        v = _Drive(lag, np.inf, np.inf, ds).driven(command)
-        assert _Drive.fitted(command, v, ds) == _Drive(lag, np.inf, np.inf, ds)
-
-
-def test_a_drive_follows_as_the_differential_equation_says():
-    """After a step of the command, the speed approaches it with the time constant."""
-    ds, lag = 0.01, 0.15
-    command = np.full(4000, 3.0)
-    command[2000:] = 4.0
-    v = _Drive(lag, np.inf, np.inf, ds).driven(command)[2000:]
-    t = np.cumsum(ds / v) - ds / v[0]
-    assert v == pytest.approx(4.0 - np.exp(-t / lag), abs=0.01)
-
-
-def test_a_drive_at_its_limit_gets_no_faster():
-    command, ds = sweep()
-    command = command + 3.0 * (np.arange(command.size) > 300)
-    v = _Drive(0.06, 2.0, np.inf, ds).driven(command)
-    found = _Drive.fitted(command, v, ds)
-    assert found.drive == pytest.approx(2.0, rel=0.1)
 
 
 # -- in the loop -----------------------------------------------------------------------------------

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from map_racing.bags.reader import read_recording
 from map_racing.bags.samples import Commands, Recording
 from map_racing.errors import EvaluationError, ParameterError
-from map_racing.evaluation.laps import LapEvaluator, LapLimits
+from map_racing.evaluation.driving import pose_timing
+from map_racing.evaluation.lap_limits import LapLimits
+from map_racing.evaluation.laps import LapEvaluator
 from map_racing.evaluation.recordings import load_recording, recorded_raceline
 from map_racing.evaluation.results import Summary
 from map_racing.evaluation.runs import evaluate
@@ -116,6 +118,17 @@ def test_lap_time_does_not_depend_on_the_sampling(drive, track, line, rate):
     for lap in laps:
         assert lap.lap_time_s == pytest.approx(track.length / V, abs=1e-3)
         assert lap.rms_lateral_error_m == pytest.approx(0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize("start", [0.1, 1.7e9 + 0.1])
+@pytest.mark.parametrize("decimals", [3, 9])
+def test_four_poses_a_second_are_no_gaps(drive, line, start, decimals):
+    """0.25 s apart, as long as a gap may be, but for the rounding of times."""
+    t, x, y = drive(18.0, rate=4.0)
+    t = start + np.round(t + 0.0004 * (-1.0) ** np.arange(t.size), decimals)
+    recorded = recording(t, x, y)
+    assert [lap.valid for lap in evaluate(recorded, line).laps].count(True) == 3
+    assert pose_timing(recorded).gaps == 0
 
 
 def test_values_of_a_lap(drive, track, line):

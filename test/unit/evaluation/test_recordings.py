@@ -1,5 +1,6 @@
 import gzip
 import os
+import re
 
 import numpy as np
 import pytest
@@ -38,15 +39,80 @@ def test_usual_names_are_recognized(csv):
 
 
 def test_units_behind_the_names(csv):
-    text = (
-        "Time [ms],x [cm],y (m),yaw [deg],v [km/h],r [rpm]\n0,100,2,180,36,1\n500,150,3,90,18,2\n"
-    )
+    text = "Time [ms],x [cm],y (m),yaw [deg],v [km/h],r [Hz]\n0,100,2,180,36,1\n500,150,3,90,18,2\n"
     recording = read_csv_recording(csv(text))
     assert recording.t.tolist() == [0.0, 0.5]
     assert (recording.x.tolist(), recording.y.tolist()) == ([1.0, 1.5], [2.0, 3.0])
     np.testing.assert_allclose(recording.psi, [np.pi, 0.5 * np.pi])
     np.testing.assert_allclose(recording.v_x, [10.0, 5.0])
-    assert recording.notes == ["warning: column r [rpm]: unknown unit, SI assumed"]
+    assert recording.notes == [
+        "column Time [ms]: ms converted to s",
+        "column x [cm]: cm converted to m",
+        "column yaw [deg]: deg converted to rad",
+        "column v [km/h]: km/h converted to m/s",
+        "warning: column r [Hz]: expected a unit such as rad/s, got Hz: taken as SI",
+    ]
+
+
+@pytest.mark.parametrize(
+    "name, value, expected",
+    [
+        *(
+            ("v [kmph]", 36, 10.0),
+            ("v (kph)", 36, 10.0),
+            ("speed_kmh", 36, 10.0),
+            ("v_km/h", 36, 10.0),
+        ),
+        *(("v [mph]", 100, 44.704), ("v [kn]", 36, 18.52), ("speed_knots", 36, 18.52)),
+        *(
+            ("v [m s^-1]", 3, 3.0),
+            ("v_m_s", 3, 3.0),
+            ("vx_cmps", 300, 3.0),
+            ("v [ft/s]", 10, 3.048),
+        ),
+        *(("v [m\u00b7s\u207b\u00b9]", 3, 3.0), ("speed [ms]", 3, 3.0), ("V [KM/H]", 36, 10.0)),
+    ],
+)
+@pytest.mark.parametrize("below", [False, True])
+def test_units_of_speeds(csv, name, value, expected, below):
+    unit = re.search(r"[\[(](.*)[\])]", name)
+    head = f"t,x,y,{name}\n"
+    if below and unit:
+        head = f"t,x,y,v\ns,m,m,{unit.group(1)}\n"
+    recording = read_csv_recording(csv(f"{head}0,1,2,{value}\n1,2,2,{value}\n"))
+    assert recording.v_x.tolist() == pytest.approx([expected, expected])
+    assert len(recording.notes) == (value != expected)
+
+
+@pytest.mark.parametrize(
+    "name, factor",
+    [
+        *(("t [min]", 60.0), ("time_ms", 1e-3), ("time_us", 1e-6), ("t [\u00b5s]", 1e-6)),
+        *(
+            ("stamp_nsec", 1e-9),
+            ("%time [ns]", 1e-9),
+            ("header.stamp [ns]", 1e-9),
+            ("t [h]", 3600.0),
+        ),
+    ],
+)
+def test_units_of_times(csv, name, factor):
+    rows = "".join(f"{round(0.5 * i / factor, 9)},{i},2\n" for i in range(3))
+    recording = read_csv_recording(csv(f"{name},x,y\n{rows}"))
+    assert recording.t.tolist() == pytest.approx([0.0, 0.5, 1.0])
+    assert [note.split(": ")[0] for note in recording.notes] == [f"column {name}"]
+
+
+def test_a_time_in_two_columns_is_asked_for(csv):
+    with pytest.raises(FileFormatError, match="which column is t"):
+        read_csv_recording(csv("stamp_sec,stamp_nsec,x,y\n1,500000000,1,2\n2,0,1,2\n"))
+
+
+def test_a_unit_of_a_named_column_counts(csv):
+    path = csv("t,x,y,wheel_kmh,yaw_dps\n0,1,2,36,180\n1,2,2,36,180\n")
+    recording = read_csv_recording(path, "v_x=wheel_kmh,yaw_rate=yaw_dps")
+    assert recording.v_x.tolist() == pytest.approx([10.0, 10.0])
+    assert recording.yaw_rate.tolist() == pytest.approx([np.pi, np.pi])
 
 
 @pytest.mark.parametrize("cells", ["9,1,2", "[1, 2],3,4", "'1,2',3,4"])
@@ -169,7 +235,7 @@ def test_rows_that_cannot_be_used_are_reported(csv):
         ("a,b,c\n0,1,2\n", "which columns are t, x, y.* say --columns t=NAME,x=NAME,y=NAME"),
         ("t,x,y\n0,1,2\n25000000,1,2\n50000000,1,2\n", "column t: .* seconds, .* 2.5e.07 between"),
         ('t,x,y\n0,"1,2\n1,1,2\n', "run.csv:3: expected 3 columns, got 2|at least two rows"),
-        ("t,x,y\nfurlong,m,m\n0,1,2\n", r"run.csv:2: column t: expected a number, got 'furlong'"),
+        ("t,x,y\nfurlong,m,m\n0,1,2\n", "column t: expected a unit such as s, got furlong"),
         ("", "expected rows of numbers"),
         ("# only a comment\n", "expected rows of numbers"),
         ("t,x,y\n", "at least two rows"),

@@ -9,7 +9,7 @@ import pytest
 from map_racing.bags.samples import Recording
 from map_racing.errors import MapRacingError
 from map_racing.evaluation import report
-from map_racing.evaluation.laps import LapLimits
+from map_racing.evaluation.lap_limits import LapLimits
 from map_racing.evaluation.runs import evaluate
 from map_racing.files import write_json
 

@@ -55,6 +55,23 @@ def test_units_of_the_file_count_where_the_map_has_none(tmp_path):
     assert run.signals["yaw_rate"].value[0] == 60.0
 
 
+def test_units_at_the_end_of_names_and_units_of_the_map(tmp_path):
+    header = "t_ms,x_mm,y_m,yaw_deg,servo,speed_kmph,pt"
+    columns = ["t_ms", "x_mm", "y_m", "yaw_deg", "servo", "speed_kmph"]
+    names = ["time", "x", "y", "psi", "steering", "v_x"]
+    channels_ = {name: Channel(column) for name, column in zip(names, columns)}
+    data = [(20 * i, 1000 * i, 1.0, 90.0, 0.5, 36.0, 0.0) for i in range(50)]
+    run = load_run(csv(tmp_path / "a.csv", data, header), ChannelMap(channels_))
+    assert run.signals["x"].t[-1] == pytest.approx(0.98)
+    assert run.signals["x"].value[-1] == pytest.approx(49.0)
+    assert run.signals["psi"].value[0] == pytest.approx(0.5 * math.pi)
+    assert run.signals["v_x"].value[0] == pytest.approx(10.0)
+    assert "column speed_kmph: kmph converted to m/s" in run.notes
+    channels_["v_x"] = Channel("speed_kmph", unit="m/s")
+    run = load_run(tmp_path / "a.csv", ChannelMap(channels_))
+    assert run.signals["v_x"].value[0] == 36.0
+
+
 def test_servo_position_becomes_an_angle(tmp_path):
     text = NAMES.replace("servo\n", "{column: servo, servo_gain: -1.2135, servo_offset: 0.5304}\n")
     run = load_run(csv(tmp_path / "a.csv", rows()), channels(tmp_path, text))
@@ -98,7 +115,9 @@ def test_time_in_other_units(tmp_path):
     "text, expected",
     [
         ("speeed: v\n", "speeed: unknown"),
-        ("v_x: {column: v, unit: knots}\n", "unit: expected m"),
+        ("v_x: {column: v, unit: furlongs}\n", "v_x: unit: expected .* m/s, got 'furlongs'"),
+        ("v_x: {column: v, unit: deg}\n", "v_x: unit: expected one such as m/s, got 'deg'"),
+        ("v_x: {column: v, unit: [m]}\n", "v_x: unit: expected one such as m/s"),
         ("v_x: {scale: 2}\n", "v_x: expected column or topic"),
         ("v_x: {column: v, factor: 2}\n", "v_x: factor: unknown"),
         ("v_x: 3\n", "v_x: expected a column"),

@@ -42,7 +42,7 @@ def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     )
     add_number(parser, "--sectors", 3, "number of timed sectors in CSV and JSON", metavar="N")
     add_limit_options(parser)
-    # As in `map_racing.evaluation.laps.LapLimits`, which is slow to import for --help.
+    # As in `map_racing.evaluation.lap_limits.LapLimits`, which is slow to import for --help.
     stop = "longest time that the car may stand in a lap that counts [s]"
     add_number(parser, "--max-stop", 0.3, stop, metavar="S")
     braking = "harder braking counts as hitting a wall [m/s^2]"

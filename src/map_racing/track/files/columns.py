@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any, Iterable, Mapping, NamedTuple
 
 import numpy as np
+
+from ...units import SI, factor_to_si, is_unit, no_unit
 
 __all__ = [
     "ALIASES",
@@ -14,7 +15,7 @@ __all__ = [
     "Meaning",
     "columns_of_waypoints",
     "from_reference_line",
-    "is_unit",
+    "may_be_unit",
     "meaning_of",
 ]
 
@@ -113,37 +114,15 @@ _GLUED = {
     "vref": "v",
 }
 
-_LENGTH = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0}
-_LENGTH.update(cm=0.01, mm=0.001, km=1000.0, ft=0.3048, feet=0.3048)
-_SPEED = {"mps": 1.0, "ms": 1.0, "meterssecond": 1.0, "ms1": 1.0, "msec": 1.0}
-_SPEED.update(
-    kmh=1.0 / 3.6,
-    kph=1.0 / 3.6,
-    kmph=1.0 / 3.6,
-    mph=0.44704,
-    cms=0.01,
-    mms=0.001,
-    cmps=0.01,
-    mmps=0.001,
-)
-_SPEED.update(fts=0.3048, ftps=0.3048, kn=1852.0 / 3600.0, kt=1852.0 / 3600.0)
-_SPEED.update(knot=1852.0 / 3600.0, knots=1852.0 / 3600.0)
-_ANGLE = {"rad": 1.0, "radian": 1.0, "radians": 1.0}
-_ANGLE.update(dict.fromkeys(("deg", "degree", "degrees", "\N{DEGREE SIGN}"), math.radians(1.0)))
-_CURVATURE = dict.fromkeys(("radpm", "radm", "1m", "m1", "pm"), 1.0)
-_ACCELERATION = dict.fromkeys(("mps2", "ms2", "mss", "mpss", "msec2"), 1.0)
-_UNITS = {
-    **dict.fromkeys(("s", "x", "y", "d_right", "d_left", "width", "half_width"), _LENGTH),
-    **dict.fromkeys(("x_ref", "y_ref", "alpha", "x_normal", "y_normal"), _LENGTH),
-    "psi": _ANGLE,
-    "kappa": _CURVATURE,
-    "speed": _SPEED,
-    "ax": _ACCELERATION,
+_QUANTITIES = {
+    **dict.fromkeys(("s", "x", "y", "d_right", "d_left", "width", "half_width"), "length"),
+    **dict.fromkeys(("x_ref", "y_ref", "alpha", "x_normal", "y_normal"), "length"),
+    "psi": "angle",
+    "kappa": "curvature",
+    "speed": "speed",
+    "ax": "acceleration",
 }
-_KNOWN_UNITS = frozenset(
-    unit for units in (_LENGTH, _SPEED, _ANGLE, _CURVATURE, _ACCELERATION) for unit in units
-)
-_NO_UNIT = frozenset(("", "-", "none", "1", "si"))
+_KNOWN = frozenset(_QUANTITIES.values())
 
 
 class Meaning(NamedTuple):
@@ -158,8 +137,8 @@ class Meaning(NamedTuple):
         By which its numbers are multiplied to have SI units.
     unit : str
         The unit as named, where it is not SI; empty otherwise.
-    unknown_unit : bool
-        Whether the unit is not one of this quantity.
+    expected_unit : str
+        The SI unit, where the unit is not one of this quantity; empty otherwise.
     rank : int
         Where two columns mean the same, the one of lower rank is taken.
     """
@@ -167,7 +146,7 @@ class Meaning(NamedTuple):
     column: str
     factor: float = 1.0
     unit: str = ""
-    unknown_unit: bool = False
+    expected_unit: str = ""
     rank: int = 0
 
 
@@ -198,11 +177,11 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     if named is None or (not unit and _ends_with_unit(words)):
         # The longest ending that is a unit and leaves a name.
         for size in (4, 3, 2, 1):
-            ending = _plain_unit(" ".join(words[-size:]))
-            if size < len(words) and ending in _KNOWN_UNITS:
+            ending = " ".join(words[-size:])
+            if size < len(words) and is_unit(ending, _KNOWN):
                 shorter = _by_words(words[:-size])
-                if shorter is not None and ending in _UNITS.get(shorter[0], _KNOWN_UNITS):
-                    named, unit = shorter, unit or " ".join(words[-size:])
+                if shorter is not None and is_unit(ending, _quantities_of(shorter[0])):
+                    named, unit = shorter, unit or ending
                     break
     if named is None:
         return Meaning("?")
@@ -210,10 +189,10 @@ def meaning_of(name: str, unit: str = "") -> Meaning:
     return _with_unit(column, rank, unit)
 
 
-def is_unit(text: str) -> bool:
+def may_be_unit(text: str) -> bool:
     """Whether a text is a unit that columns of racelines have, such as ``m/s``."""
     text = text.strip().strip("[](){}")
-    return _plain_unit(text) in _KNOWN_UNITS or text.lower() in _NO_UNIT
+    return is_unit(text, _KNOWN) or no_unit(text)
 
 
 def columns_of_waypoints(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -253,23 +232,20 @@ def _by_words(words: Iterable[str]) -> tuple[str, int] | None:
 
 
 def _ends_with_unit(words):
-    return len(words) > 1 and _plain_unit(words[-1]) in _KNOWN_UNITS
+    return len(words) > 1 and is_unit(words[-1], _KNOWN)
 
 
-def _plain_unit(unit):
-    """A unit without what can be written in several ways: ``m/s^2``, ``m s-2`` are ``ms2``."""
-    unit = unit.strip().lower().replace("\N{SUPERSCRIPT TWO}", "2").replace("**", "")
-    unit = re.sub(r"\bper\b", "", unit)
-    return re.sub(r"[\s_/^*.\-]+", "", unit)
+def _quantities_of(column):
+    """The quantity of a column; of one that no raceline needs, any."""
+    return (_QUANTITIES[column],) if column in _QUANTITIES else _KNOWN
 
 
 def _with_unit(column, rank, unit):
-    units, plain = _UNITS.get(column), _plain_unit(unit)
-    if units is None or plain in _NO_UNIT:
+    if column not in _QUANTITIES or no_unit(unit):
         return Meaning(column, rank=rank)
-    if plain not in units:
-        return Meaning(column, unit=unit, unknown_unit=True, rank=rank)
-    factor = units[plain]
+    factor = factor_to_si(_QUANTITIES[column], unit)
+    if factor is None:
+        return Meaning(column, unit=unit, expected_unit=SI[_QUANTITIES[column]], rank=rank)
     return Meaning(column, factor, unit if factor != 1.0 else "", rank=rank)
 
 

@@ -23,7 +23,7 @@ from ...tables import is_number, open_text, parse_rows
 from ..findings import NOTE, WARNING, Finding
 from ..raceline import Raceline
 from .checks import raceline_of
-from .columns import ALIASES, REFERENCE, Meaning, from_reference_line, is_unit, meaning_of
+from .columns import ALIASES, REFERENCE, Meaning, from_reference_line, may_be_unit, meaning_of
 from .table import RacelineTable, without_signs
 from .unnamed import LAYOUTS, name_by_numbers
 
@@ -242,7 +242,7 @@ def _header(lines, width, path):
             last = k
             break
     below = cells[last + 1] if last + 1 < len(lines) else cells[-1] if len(lines) > 1 else []
-    if len(below) == width and all(map(is_unit, below)) and any(map(_says_unit, below)):
+    if len(below) == width and all(map(may_be_unit, below)) and any(map(_says_unit, below)):
         units = below
         last -= last + 1 == len(lines)
     if not lines:
@@ -318,8 +318,9 @@ def _named_columns(header, values, findings):
         if taken.get(meaning.column) != k:
             continue
         result[meaning.column] = meaning.factor * values[k] if meaning.unit else values[k]
-        if meaning.unknown_unit:
-            text = f"unit {meaning.unit} of column {names[k]} is not understood: taken as SI"
+        if meaning.expected_unit:
+            expected, unit = meaning.expected_unit, meaning.unit
+            text = f"column {names[k]}: expected a unit such as {expected}, got {unit}: taken as SI"
             findings.append(Finding("unknown-unit", WARNING, text))
         elif meaning.unit:
             text = f"column {names[k]} converted from {meaning.unit} to SI"

@@ -48,7 +48,7 @@ def text(header, *columns, separator=","):
         (text("x,y,throttle", X, Y, V / 6.0), False, False, "not used: throttle"),
         (text("x_m,y_m,psi_rad,vx_mps", X, Y, np.degrees(PSI), V), True, False, "in degrees"),
         (text("x,y,speed", X, Y, 3.6 * V), None, False, "in km/h?"),
-        (text("x [px],y [px],v", 20.0 * X, 20.0 * Y, V), True, False, "unit px"),
+        (text("x [px],y [px],v", 20.0 * X, 20.0 * Y, V), True, False, "such as m, got px"),
         (text("x,y,v", 20.0 * X, 20.0 * Y, V), True, False, "in meters, or in pixels?"),
         (text("", X, Y, V, PSI), True, False, "unnamed columns"),
         (text("", X, Y, ZERO, PSI, V), True, False, "unnamed columns"),
