@@ -55,6 +55,31 @@ class Batch:
         self._buffer, self._starts, self._stops = buffer, starts, stops
         self.numbers, self.times = numbers, times
 
+    @classmethod
+    def of(cls, groups: list[tuple], times: np.ndarray) -> Batch:
+        """From the messages of several connections.
+
+        Parameters
+        ----------
+        groups : list of (int, ndarray of int, ndarray or list of bytes)
+            Of each connection its number, the places of its messages in the batch, and the
+            messages as in `contents`.
+        times : ndarray of int, shape (n,)
+        """
+        numbers, starts, stops = (np.empty(times.size, dtype=np.int64) for _ in range(3))
+        parts, end = [], 0
+        for number, where, contents in groups:
+            numbers[where] = number
+            if isinstance(contents, np.ndarray):
+                sizes = np.full(len(contents), contents.shape[1])
+                parts.append(contents)
+            else:
+                sizes = np.fromiter(map(len, contents), np.int64, len(contents))
+                parts += contents
+            ends = end + np.cumsum(sizes)
+            starts[where], stops[where], end = ends - sizes, ends, ends[-1]
+        return cls(b"".join(parts), starts, stops, numbers, times)
+
     def __len__(self):
         return len(self.numbers)
 
@@ -86,11 +111,9 @@ def batched(messages: Iterator[Message], size: int = 2048) -> Iterator[Batch]:
     """Batches of messages, of so many at most."""
     for batch in iter(lambda: list(islice(messages, size)), []):
         numbers, times, data = zip(*batch)
-        stops = np.cumsum([len(one) for one in data])
+        stops = np.cumsum(np.fromiter(map(len, data), np.int64, len(data)))
         starts = np.append(0, stops[:-1])
-        yield Batch(
-            b"".join(data), starts, stops, np.array(numbers), np.array(times, dtype=np.int64)
-        )
+        yield Batch(b"".join(data), starts, stops, np.array(numbers), np.array(times))
 
 
 class Bag(ABC):

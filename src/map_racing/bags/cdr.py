@@ -2,8 +2,8 @@
 
 ROS 2 serializes by CDR: four bytes name the encoding, numbers are aligned to their size, counted
 from there, strings end with a zero byte, and a header has no sequence number. The fields are the
-same, so a message is converted by copying a few slices, in 0.5 us instead of the 10 us of a general
-conversion, and all readers of messages need only one layout.
+same, so a message is converted by copying a few slices, many messages at once, and all readers of
+messages need only one layout.
 
 Encoding: OMG, Data Distribution Service Interoperability Wire Protocol (DDSI-RTPS) 2.2, section 10.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ..printing import printable
 from . import messages as msg
 from .bag import Connection
 
-__all__ = ["connection_of", "layout_of_ros1"]
+__all__ = ["Layout", "connection_of"]
 
 _LITTLE_ENDIAN = b"\0\1"
 _START = 4  # alignment counts from here, after the encoding
@@ -82,6 +82,25 @@ class _Stamped:
         start = _aligned(end, self._alignment)
         self._numbers = slice(start, None if self._size is None else start + self._size)
         self._lengths = data[12:16], data[self._child_at : self._child_at + 4]
+
+    def all(self, rows: np.ndarray) -> np.ndarray | None:
+        """As the call, for many messages as rows of bytes; None if the lengths of strings vary."""
+        first = self(rows[0].tobytes())
+        if any(np.any(rows[:, at : at + 4] != rows[0, at : at + 4]) for at in (12, self._child_at)):
+            return None
+        rearranged = np.empty((len(rows), len(first)), np.uint8)
+        rearranged[:] = np.frombuffer(first, np.uint8)
+        at = 0
+        for before, part in (
+            (_SEQUENCE, slice(4, 12)),
+            (self._frame, self._text),
+            (self._name, self._name_text),
+            (b"", self._numbers),
+        ):
+            columns, at = rows[:, part], at + len(before)
+            rearranged[:, at : at + columns.shape[1]] = columns
+            at += columns.shape[1]
+        return rearranged
 
 
 def _float64(data):
@@ -186,31 +205,36 @@ _MAKERS = {
 }
 
 
-def layout_of_ros1(connection: Connection) -> Callable[[bytes], bytes]:
-    """Function that rearranges the messages of a connection.
+class Layout:
+    """Rearranges the messages of a connection from CDR to the layout of ROS 1.
 
     Parameters
     ----------
     connection : Connection
         Of a type that this package knows.
-
-    Returns
-    -------
-    callable
-        Converts a message from CDR to the layout of ROS 1; a damaged one becomes empty, which every
-        decoder rejects.
     """
-    convert = _MAKERS[connection.type]()
 
-    def rearranged(data):
+    def __init__(self, connection: Connection):
+        self._convert = _MAKERS[connection.type]()
+
+    def __call__(self, data: bytes) -> bytes:
+        """A message; a damaged one becomes empty, which every decoder rejects."""
         if data[:2] != _LITTLE_ENDIAN:
             return b""
         try:
-            return convert(data)
+            return self._convert(data)
         except struct.error:
             return b""
 
-    return rearranged
+    def all(self, contents: np.ndarray | list[bytes]) -> np.ndarray | list[bytes]:
+        """As the call, for `map_racing.bags.bag.Batch.contents`."""
+        alike = isinstance(contents, np.ndarray) and isinstance(self._convert, _Stamped)
+        if alike and (contents[:, :2] == np.frombuffer(_LITTLE_ENDIAN, np.uint8)).all():
+            with suppress(struct.error):
+                rows = self._convert.all(contents)
+                if rows is not None:
+                    return rows
+        return [self(bytes(one)) for one in contents]
 
 
 def connection_of(topic: str, kind: str, definition: str) -> Connection:

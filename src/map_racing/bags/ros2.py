@@ -14,11 +14,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Iterator
 
+import numpy as np
 import yaml
 
 from ..errors import BagError
-from .bag import Bag, Message, time_span
-from .cdr import connection_of, layout_of_ros1
+from .bag import Bag, Batch, Message, batched, time_span
+from .cdr import Layout, connection_of
 from .compression import ZSTD_MAGIC, decompress_message, zstd_decompressor
 from .storage import MCAP_MAGIC, SQLITE_ERRORS, SQLITE_MAGIC, McapFile, SqliteFile
 
@@ -145,7 +146,7 @@ class Ros2Bag(Bag):
                 if number not in self.connections:
                     self.connections[number] = connection
                     if topic.rearrange and not connection.cdr:
-                        self._layouts[number] = layout_of_ros1(connection)
+                        self._layouts[number] = Layout(connection)
             self._of_storage.append(own)
 
     def _take_counts(self, metadata):
@@ -181,19 +182,45 @@ class Ros2Bag(Bag):
 
     def messages(self, wanted: set[int] | None = None) -> Iterator[Message]:
         """As `Bag.messages`."""
-        layouts, found = self._layouts, 0
-        for own, storage in zip(self._of_storage, self._storages):
-            keys = {key for key, number in own.items() if wanted is None or number in wanted}
-            for key, time_ns, data in storage.messages(keys) if keys else ():
-                if data[:4] == ZSTD_MAGIC:  # compressed message by message
-                    data = decompress_message(data)
-                number = own[key]
+        found = 0
+        for own, storage, keys in self._sources(wanted):
+            for key, time_ns, data in storage.messages(keys):
                 if not 0 <= time_ns < _TIMES_END:
                     continue
-                layout = layouts.get(number)
+                data, layout = _uncompressed(data), self._layouts.get(own[key])
                 found += 1
-                yield Message(number, time_ns, data if layout is None else layout(data))
+                yield Message(own[key], time_ns, data if layout is None else layout(data))
         self._found = self.connections if wanted is None else wanted, found
+
+    def batches(self, wanted: set[int]) -> Iterator[Batch]:
+        """As `Bag.batches`."""
+        found = 0
+        for own, storage, keys in self._sources(wanted):
+            for batch in batched(storage.messages(keys)):
+                batch = self._rearranged(batch, own)
+                found += len(batch)
+                yield batch
+        self._found = wanted, found
+
+    def _sources(self, wanted):
+        """Files with wanted messages: numbers of the connections by key, file, wanted keys."""
+        for own, storage in zip(self._of_storage, self._storages):
+            keys = {key for key, number in own.items() if wanted is None or number in wanted}
+            if keys:
+                yield own, storage, keys
+
+    def _rearranged(self, batch, own):
+        """A batch of a file, without compression and in the layout of ROS 1."""
+        good = (batch.times >= 0) & (batch.times < _TIMES_END)
+        batch = batch if good.all() else batch.only(good)
+        groups = []
+        for key in np.unique(batch.numbers).tolist():
+            where = np.flatnonzero(batch.numbers == key)
+            contents, layout = batch.only(where).contents(), self._layouts.get(own[key])
+            if not isinstance(contents, np.ndarray) or np.any(contents[:, 0] == ZSTD_MAGIC[0]):
+                contents = [_uncompressed(bytes(data)) for data in contents]
+            groups.append((own[key], where, contents if layout is None else layout.all(contents)))
+        return Batch.of(groups, batch.times.astype(np.int64))
 
     def notes(self) -> list[str]:
         """What could not be read; empty for an intact bag."""
@@ -214,6 +241,11 @@ class Ros2Bag(Bag):
         if found != expected and not damage and not unread:
             notes.append(f"{found} messages read, but the index of the bag lists {expected}")
         return notes
+
+
+def _uncompressed(data):
+    """A message that may be compressed by itself."""
+    return decompress_message(data) if data[:4] == ZSTD_MAGIC else data
 
 
 def _storage_files(path, metadata):

@@ -7,7 +7,7 @@ from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from map_racing.bags import messages as msg
-from map_racing.bags.cdr import connection_of, layout_of_ros1
+from map_racing.bags.cdr import Layout, connection_of
 from map_racing.bags.reader import read_recording
 from map_racing.bags.remarks import read_remarks
 from map_racing.bags.writer import BagWriter
@@ -177,9 +177,9 @@ def test_texts_of_ros2_in_the_layout_of_ros1(name):
     array = types.types["diagnostic_msgs/msg/DiagnosticArray"](header, statuses)
     data = bytes(types.serialize_cdr(array, "diagnostic_msgs/msg/DiagnosticArray"))
     connection = connection_of("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "")
-    found = msg.decode_diagnostics(layout_of_ros1(connection)(data))
+    found = msg.decode_diagnostics(Layout(connection)(data))
     assert found == (7 * 10**9 + 8, [(name, "stopped", "map_racing")] * 2)
     text = types.types["std_msgs/msg/String"](name)
     text = bytes(types.serialize_cdr(text, "std_msgs/msg/String"))
     connection = connection_of("settings", "std_msgs/msg/String", "")
-    assert msg.decode_string(layout_of_ros1(connection)(text)) == (name, 4 + len(name))
+    assert msg.decode_string(Layout(connection)(text)) == (name, 4 + len(name))

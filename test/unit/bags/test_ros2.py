@@ -23,7 +23,7 @@ from rosbags import rosbag2
 
 from map_racing.bags import compression, encoding
 from map_racing.bags import messages as msg
-from map_racing.bags.cdr import connection_of, layout_of_ros1
+from map_racing.bags.cdr import Layout, connection_of
 from map_racing.bags.compression import decompress
 from map_racing.bags.opening import is_bag, open_bag
 from map_racing.bags.reader import read_recording, read_signals
@@ -109,10 +109,20 @@ def expected(race_bag, tmp_path_factory):
     return evaluated(tmp_path_factory.mktemp("expected"), race_bag())
 
 
+def assert_many_at_once_are_those_one_by_one(path):
+    with open_bag(path) as bag:
+        messages = list(bag.messages(set(bag.connections)))
+        notes = bag.notes()
+        batches = list(bag.batches(set(bag.connections)))
+        assert [message for batch in batches for message in batch] == messages
+        assert bag.notes() == notes
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_of_ros_2_gives_the_same_laps(kind, made, expected, race_bag, tmp_path):
     path = KINDS[kind](tmp_path, made)
     assert is_bag(path)
+    assert_many_at_once_are_those_one_by_one(path)
     assert evaluated(tmp_path, path) == expected
     ours, theirs = read_recording(path), read_recording(race_bag())
     for one, other in zip(
@@ -146,11 +156,29 @@ TYPES = ros2_types()
 def test_messages_are_rearranged_as_rosbags_does(kind, name, other, values):
     original = ENCODED[kind](name, other, values)
     name = kind.replace("/", "/msg/")
-    rearrange = layout_of_ros1(connection_of("/t", name, ""))
+    rearrange = Layout(connection_of("/t", name, ""))
     data = bytes(TYPES.ros1_to_cdr(original, name))
     assert rearrange(data) == original
     for end in range(0, len(data) - 4, 7):  # damaged messages never raise
         rearrange(data[:end])
+
+
+@pytest.mark.parametrize("kind", ENCODED)
+@settings(max_examples=30, deadline=None)
+@given(data=st.data(), name=NAMES, other=NAMES)
+def test_many_messages_are_rearranged_as_each_alone(kind, data, name, other):
+    original = ENCODED[kind](name, other, [float(i) for i in range(10)])
+    kind = kind.replace("/", "/msg/")
+    connection = connection_of("/t", kind, "")
+    rows = np.tile(np.frombuffer(TYPES.ros1_to_cdr(original, kind), np.uint8), (4, 1))
+    rows = rows[:, : data.draw(st.integers(1, rows.shape[1]) | st.just(rows.shape[1]))].copy()
+    for row in rows[data.draw(st.integers(0, 3)) :]:
+        # Anywhere, or in the lengths of the strings.
+        place = st.integers(0, row.size - 1) | st.integers(0, min(row.size - 1, 40))
+        row[data.draw(place)] = data.draw(st.integers(0, 255))
+    alone = [Layout(connection)(row.tobytes()) for row in rows]
+    assert [bytes(row) for row in Layout(connection).all(rows)] == alone
+    assert Layout(connection).all([row.tobytes() for row in rows]) == alone
 
 
 def test_paths_and_float64(tmp_path):
@@ -169,11 +197,11 @@ def test_paths_and_float64(tmp_path):
     ]
     path = make["nav_msgs/msg/Path"](header=header, poses=poses)
     data = bytes(TYPES.serialize_cdr(path, "nav_msgs/msg/Path"))
-    columns = msg.decode_path(layout_of_ros1(connection_of("/p", "nav_msgs/msg/Path", ""))(data))
+    columns = msg.decode_path(Layout(connection_of("/p", "nav_msgs/msg/Path", ""))(data))
     np.testing.assert_array_equal(columns["x_m"], np.arange(9.0))
     number = make["std_msgs/msg/Float64"](data=0.25)
     data = bytes(TYPES.serialize_cdr(number, "std_msgs/msg/Float64"))
-    rearrange = layout_of_ros1(connection_of("/f", "std_msgs/msg/Float64", ""))
+    rearrange = Layout(connection_of("/f", "std_msgs/msg/Float64", ""))
     assert msg.decode_float64([rearrange(data)])[1][0, 0] == 0.25
     assert rearrange(b"\0\0" + data[2:]) == b""  # of the other byte order
 
@@ -271,7 +299,7 @@ def test_damage_is_never_an_error_of_the_program(kind, small, data, tmp_path):
         del contents[data.draw(st.integers(1, len(contents))) :]
     path = tmp_path / f"damaged{kind}"
     path.write_bytes(bytes(contents))
-    for read in (read_recording, read_waypoints):
+    for read in (read_recording, read_waypoints, assert_many_at_once_are_those_one_by_one):
         try:
             read(path)
         except BagError as error:
