@@ -218,7 +218,20 @@ def scaling_lines(table: pd.DataFrame) -> list[str]:
             ]
         else:
             rows[-1] += [not_completed(row), *[""] * 5]
-    return aligned(rows, left=1)
+    return [*aligned(rows, left=1), *saturation_lines(table)]
+
+
+def saturation_lines(table: pd.DataFrame) -> list[str]:
+    """From which scale on each controller drives the same speeds, where it does."""
+    lines = []
+    for label, own in table.groupby("controller", sort=False):
+        changing = own[~own.same_speeds]
+        if own.same_speeds.iloc[-1]:
+            lines.append(
+                f"{label}: the speeds of scale {changing.speed_scale.iloc[-1]:.3f} at all higher "
+                "ones, too: the grip limits them, not the scale"
+            )
+    return lines
 
 
 def tire_lines(table: pd.DataFrame) -> list[str]:

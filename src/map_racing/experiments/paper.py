@@ -105,6 +105,9 @@ class Race(NamedTuple):
     result: RaceResult
 
 
+# Lap times that differ by less [s] are those of the same speeds.
+_SAME_LAP_S = 1e-3
+
 # -- plans -----------------------------------------------------------------------------------------
 
 
@@ -241,10 +244,11 @@ def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
     pandas.DataFrame
         ``days`` and ``days_completed``; minimum, quartiles and maximum of the RMS lateral error and
         of the lap time on the days completed, the top speed, and the median of the lateral
-        accelerations; NaN without any.
+        accelerations; NaN without any. Where ``same_speeds`` is true, the controller drives the
+        speeds of the scale before, on all days: the grip limits them, not the scale.
     """
     counted = laps[(laps.outcome == "completed") & laps.valid]
-    rows = []
+    rows, before = [], {}
     for (scale, label), group in races.groupby(["speed_scale", "controller"], sort=False):
         own = counted[(counted.speed_scale == scale) & (counted.controller == label)]
         row = {"speed_scale": scale, "controller": label, **_completion(group), "laps": len(own)}
@@ -259,6 +263,10 @@ def scaling_table(races: pd.DataFrame, laps: pd.DataFrame) -> pd.DataFrame:
         done = group[group.outcome == "completed"]
         row["max_speed_mps"] = float(done.max_speed_mps.max())
         row["lateral_acceleration_mps2"] = float(done.lateral_acceleration_mps2.median())
+        times = done.set_index("seed").mean_lap_time_s
+        change = (times - before.get(label, times * math.nan)).abs()
+        row["same_speeds"] = bool(len(done)) and bool((change < _SAME_LAP_S).all())
+        before[label] = times
         rows.append(row)
     return pd.DataFrame(rows)
 

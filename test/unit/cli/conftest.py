@@ -1,7 +1,5 @@
 """Races, experiments and errors shared by the tests of several commands."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -78,7 +76,7 @@ def run(place):
             patch.setattr(tuning, "GRID", (8, 16))
             patch.setattr(tuning, "COARSE", 1)
             patch.setattr(Figure, "tight_layout", lambda figure, **_: None)
-            patch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+            patch.setattr(Figure, "savefig", lambda figure, file, **_: None)
             return main([str(argument) for argument in (*arguments, *conditions)])
 
     return command

@@ -157,9 +157,9 @@ def test_race_refuses_a_track_in_millimeters(tmp_path, refused):
 
 def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["raceline", "convert", "club.csv", "club.csv", "--format", "map_racing"]
+    words = ["raceline", "convert", "club", "club", "--format", "map_racing"]
     assert main(words) == 0
-    assert (tmp_path / "club.csv").is_file()
+    assert (tmp_path / "club").is_file()
 
 
 def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):

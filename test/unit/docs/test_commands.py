@@ -338,7 +338,7 @@ def quick(monkeypatch):
     Other tests cover these in full.
     """
     monkeypatch.setattr(Figure, "tight_layout", lambda figure, **_: None)
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: Path(path).touch())
+    monkeypatch.setattr(Figure, "savefig", lambda figure, file, **_: None)
     monkeypatch.setattr(tuning, "GRID", range(8, 17, 8))
     monkeypatch.setattr(tuning, "MOST_MOVES", 1)
     monkeypatch.setattr(speed_profile, "_CELL", 0.1)

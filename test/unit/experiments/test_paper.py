@@ -4,8 +4,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from map_racing.cli.experiment import saturation_lines
 from map_racing.control.parameters import load_controller_parameters
 from map_racing.evaluation.results import Lap
 from map_racing.experiments import paper
@@ -210,6 +212,24 @@ def test_scaling_table(races):
     assert second.max_abs_lateral_error_m == 0.12
     assert (third.days_completed, third.laps_until_end) == (1, "0")
     assert (second.max_speed_mps, second.lateral_acceleration_mps2) == (5.0, 6.0)
+
+
+def test_scales_that_change_no_speeds(races):
+    """As where the grip limits the speeds on all days: laps differ by rounding alone."""
+    frame, laps = paper.race_frame(races), paper.lap_frame(races)
+    own = frame[(frame.controller == MAP) & (frame.speed_scale == 0.7)]
+    copies = [own.assign(speed_scale=0.7 + 0.1 * k) for k in range(4)]
+    times = own.mean_lap_time_s
+    copies[1] = copies[1].assign(mean_lap_time_s=times - [0.0, 0.1])
+    copies[2] = copies[2].assign(mean_lap_time_s=times - [0.0, 0.1004])
+    copies[3] = copies[3].assign(mean_lap_time_s=times - [0.0, 0.1])
+    table = paper.scaling_table(pd.concat(copies, ignore_index=True), laps)
+    assert table.same_speeds.tolist() == [False, False, True, True]
+    (line,) = saturation_lines(table)
+    assert line.startswith(f"{MAP}: the speeds of scale 0.800 at all higher ones")
+    ended = pd.concat([copies[0], copies[0].assign(speed_scale=0.8, outcome="crashed")])
+    table = paper.scaling_table(ended, laps)
+    assert table.same_speeds.tolist() == [False, False] and saturation_lines(table) == []
 
 
 def test_a_scale_that_nobody_completed_is_a_row_without_values(races):
