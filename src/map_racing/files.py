@@ -18,12 +18,14 @@ from .errors import FileFormatError, MapRacingError
 __all__ = [
     "for_json",
     "make_folder",
+    "read_json",
     "read_yaml_mapping",
     "refuse_special",
     "replacing",
     "together",
     "unfinished",
     "write_json",
+    "yaml_text",
 ]
 
 
@@ -103,11 +105,23 @@ def _decimal(kind):
 
 for _kind in ("int", "float"):
     _UniqueKeyLoader.add_constructor(f"tag:yaml.org,2002:{_kind}", _decimal(_kind))
-_UniqueKeyLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that quotes texts which `_UniqueKeyLoader` would read as numbers: 12e4."""
+
+
+for _kind in (_UniqueKeyLoader, _Dumper):
+    _kind.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+        list("-+.0123456789"),
+    )
+
+
+def yaml_text(values: dict, **options: object) -> str:
+    """YAML that `read_yaml_mapping` reads back unchanged; `options` are those of ``yaml.dump``."""
+    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, **options)
 
 
 # Files that appear together: their temporary names by their final ones; None outside of `together`.
@@ -234,6 +248,22 @@ def write_json(path: str | Path, content: object, indent: int | None = 1) -> Non
     with replacing(path) as file:
         # One dumps takes a tenth of the time of json.dump without indentation.
         file.write(json.dumps(for_json(content), indent=indent, allow_nan=False) + "\n")
+
+
+def read_json(path: str | Path) -> object:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is something else.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 def for_json(content: object) -> object:

@@ -78,7 +78,8 @@ def find_config(kind: str, source: str | Path, suffixes: tuple[str, ...]) -> Pat
         raise ParameterError(
             f"{source}: expected a file or one of the shipped {kind} ({known}), got a folder"
         )
-    raise ParameterError(f"{source}: no such file, nor one of the shipped {kind} ({known})")
+    name = str(source) or "''"
+    raise ParameterError(f"{name}: no such file, nor one of the shipped {kind} ({known})")
 
 
 @lru_cache(maxsize=None)

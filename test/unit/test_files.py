@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from map_racing.errors import FileFormatError, MapRacingError
-from map_racing.files import read_yaml_mapping, replacing, together, write_json
+from map_racing.files import read_yaml_mapping, replacing, together, write_json, yaml_text
 
 
 def test_reads_a_mapping(tmp_path):
@@ -57,6 +57,13 @@ def test_numbers_with_exponent_are_numbers(tmp_path):
         **{"a": 1e-3, "b": [470.0, -2000.0, 5.0, 1e-3]},
         **{"c": "1e", "d": "e3", "e": "1e-3 m"},
     }
+
+
+def test_texts_that_look_like_numbers_are_read_back_as_texts(tmp_path):
+    path = tmp_path / "car.yaml"
+    values = {"name": "1e3", "hash": "123456e78901", "old": "0105", "m": 1e-5, "n": 3}
+    path.write_text(yaml_text(values))
+    assert read_yaml_mapping(path) == values
 
 
 def test_refuses_a_file_that_is_not_there(tmp_path):

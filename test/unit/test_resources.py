@@ -45,7 +45,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones(source):
     with pytest.raises(ParameterError) as caught:
         find_config("vehicles", source, (".yaml",))
     assert str(caught.value) == (
-        f"{source}: no such file, nor one of the shipped vehicles "
+        f"{source or repr(source)}: no such file, nor one of the shipped vehicles "
         "(bmw_320i, f1tenth_drift, nuc4, sim, sim_identified)"
     )
 

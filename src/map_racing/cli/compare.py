@@ -25,7 +25,7 @@ def run(arguments):
         print("\n".join(f"  {line}" for line in aligned(rows)))
     else:
         print("No difference in provenance.")
-    if arguments.plots:
+    if arguments.plots is not None:
         drawn = comparison.table, comparison.values, run_names(folders), comparison.kind
         path = draw(arguments.plots, "comparison.png", "experiments.plot_comparison", *drawn)
         print(f"figure written to {path}")

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from ..bags.opening import source_name
 from ..errors import MapRacingError, ParameterError
 from ..evaluation.lap_limits import LapLimits
+from ..evaluation.laps import check_options
 from ..evaluation.recordings import load_recording
 from ..evaluation.report import lap_data, lap_table, summary_table, write_csv
 from ..evaluation.runs import evaluate_runs
@@ -58,7 +59,7 @@ def run(arguments):
         print(f"laps written to {arguments.csv}")
     if arguments.json:
         print(f"laps and summaries written to {arguments.json}")
-    if arguments.plots:
+    if arguments.plots is not None:
         draw_runs(arguments.plots, names, results)
         print(f"figures are in {arguments.plots}")
     return failed
@@ -75,6 +76,11 @@ def check_evaluation(arguments):
         if not value > 0.0:
             option = "--" + name.replace("_", "-")
             raise ParameterError(f"{option}: expected more than 0, got {value}")
+    check_options(
+        getattr(arguments, "start_line", 0.0),
+        getattr(arguments, "car_width", 0.0),
+        getattr(arguments, "sectors", 1),
+    )
 
 
 def evaluate_one(source, track, arguments):

@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _write(arguments, found, left_out, validated):
     """Write vehicle, table and further outputs."""
-    if arguments.plots:
+    if arguments.plots is not None:
         # First, so that no other output is left behind if the folder cannot be made.
         make_folder(arguments.plots)
     table = steady_state_table(found.vehicle, *default_grid(found.vehicle))
@@ -89,7 +89,7 @@ def _write(arguments, found, left_out, validated):
             write_json(arguments.json, car_data(found, left_out, validated))
             said.append(f"report written to {arguments.json}")
     print("\n".join(said))
-    if arguments.plots:
+    if arguments.plots is not None:
         draw_identification(arguments.plots, found.steady, left_out, table)
         print(f"figures are in {arguments.plots}")
 

@@ -18,7 +18,7 @@ from ..vehicle.comparison import LARGEST_COMPARED, LARGEST_DIFFERENCE, compare_t
 from ..vehicle.grids import default_grid, published_grid
 from ..vehicle.lookup import load_table
 from ..vehicle.parameters import linearized, parameter_hash
-from ..vehicle.plausibility import doubts_of_cells, doubts_of_peak
+from ..vehicle.plausibility import doubts_of_cells, doubts_of_peak, doubts_of_provenance
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
 from .inputs import channel_map, read_vehicle
@@ -113,7 +113,7 @@ def _replay(arguments, vehicle):
 
 
 def _draw(folder, table):
-    if folder:
+    if folder is not None:
         draw_table(folder, table)
         print(f"  figures are in {folder}")
 
@@ -148,7 +148,7 @@ def _describe(path, table):
         for i in picked
     )
     print(f"  largest lateral acceleration [m/s^2]: {limits}")
-    for doubt in doubts_of_peak(table) + doubts_of_cells(table):
+    for doubt in doubts_of_provenance(table) + doubts_of_peak(table) + doubts_of_cells(table):
         print(f"  warning: {doubt}")
 
 

@@ -58,7 +58,7 @@ def run_check(arguments):
         if arguments.json:
             write_json(arguments.json, report, indent=2)
             print(f"  report written to {arguments.json}")
-    if arguments.plots and table is not None:
+    if arguments.plots is not None and table is not None:
         _, key = split_source(arguments.source)
         path = draw_check(arguments.plots, key, table, raceline, findings)
         if not alone:

@@ -101,7 +101,7 @@ def run_optimize(arguments):
     except ParameterError:
         middle = found.reference
     write(arguments, forms, optimized, middle)
-    if arguments.plots:
+    if arguments.plots is not None:
         name = f"{optimized.name or 'track'}_optimized.png"
         drawn = optimized, middle, found.walls, image
         path = draw(arguments.plots, name, "optimization.plot_optimized", *drawn)

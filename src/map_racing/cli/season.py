@@ -37,7 +37,7 @@ def run(arguments):
         load_raceline(source)  # fail early if one cannot be read
     tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
-    make_folder(output)
+    make_folder(arguments.output)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
         season = evaluate_season(bags, output, options, executor, capacity)
     heats = season.heats

@@ -63,6 +63,8 @@ def run_robust(arguments, controllers):
     for label, controller in controllers.items():
         if not isinstance(controller, ControllerParameters):
             raise ParameterError(f"--robust: expected controllers with a lookahead, got {label}")
+        for share in arguments.grip_use or ():
+            controller.with_(grip_use=share)  # fail before the tuning
     session = open_grid(arguments, "tune-robust")
     grid = session.grid
     controllers = named_controllers(arguments.controller, grid.vehicle)

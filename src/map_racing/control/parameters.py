@@ -6,10 +6,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TypeVar
 
-import yaml
-
 from ..errors import ParameterError
-from ..files import read_yaml_mapping, replacing
+from ..files import read_yaml_mapping, replacing, yaml_text
 from ..resources import config_directory, find_config
 from ..validation import POSITIVE, check, documented, parameter, read_parameters
 from ..vehicle.parameters import Vehicle
@@ -444,6 +442,6 @@ def save_controller_parameters(
     """
     with replacing(path) as file:
         file.write("# config/controllers/map.yaml of map_racing says what each name means.\n\n")
-        yaml.safe_dump(parameter_values(parameters), file, sort_keys=False)
+        file.write(yaml_text(parameter_values(parameters)))
         if limits is not None:
-            yaml.safe_dump({"safety": asdict(limits)}, file, sort_keys=False)
+            file.write(yaml_text({"safety": asdict(limits)}))

@@ -7,7 +7,6 @@ A result directory holds ``results.json`` (kind, table and provenance), the same
 
 from __future__ import annotations
 
-import json
 import platform
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ import scipy
 from .. import __version__
 from ..control.parameters import ControllerParameters, MpcParameters
 from ..errors import FileFormatError, ParameterError
-from ..files import replacing, together, write_json
+from ..files import read_json, replacing, together, write_json
 from .jobs import code_fingerprint, plain
 from .paper import Setting
 
@@ -161,9 +160,11 @@ def read_results(folder: str | Path) -> Results:
     FileFormatError
         If it is not one.
     """
+    if not str(folder):
+        raise FileFormatError("'': expected the name of a result directory")
     path = Path(folder) / FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         kind, rows, provenance = (content[name] for name in ("kind", "rows", "provenance"))
         table = pd.DataFrame(rows)
         for column in [*KEYS, *COMPARED[kind]]:
@@ -171,6 +172,8 @@ def read_results(folder: str | Path) -> Results:
                 table[column] = table[column].astype(float)
         if not all(isinstance(name, str) for name in table["controller"]):
             raise ValueError("controller")
+        if not np.isfinite(table["speed_scale"]).all():
+            raise ValueError("speed_scale")
         provenance["track"]["sha256"]
     except OSError as error:
         raise FileFormatError(

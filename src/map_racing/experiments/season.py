@@ -29,7 +29,7 @@ from ..errors import EvaluationError, MapRacingError
 from ..evaluation.lap_limits import LapLimits
 from ..evaluation.recordings import load_recording
 from ..evaluation.runs import evaluate_runs
-from ..files import make_folder, write_json
+from ..files import make_folder, read_json, write_json
 from ..resources import fingerprint_of_code, list_config
 from ..track.files.load import load_raceline
 from ..track.files.readers import split_source
@@ -363,7 +363,7 @@ def _state(stamp, asked):
 def _kept(folder, path, asked):
     """Stored rows of a bag that has not changed; otherwise None."""
     try:
-        record = json.loads(_record(folder, path).read_text(encoding="utf-8"))
+        record = read_json(_record(folder, path))
         if record["state"] != _state(_stamp(path), asked):
             return None
         return [

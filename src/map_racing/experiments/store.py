@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from contextlib import suppress
 from itertools import chain
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
-from ..files import replacing, write_json
+from ..files import read_json, replacing, write_json
 from ..simulation.race import Outcome, Work
 from .jobs import LAP_COLUMNS, End, RaceJob, RaceResult, lap_row, plain
 
@@ -86,7 +85,7 @@ class Store:
 
 def _read(path):
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path)
     except FileNotFoundError:
         return None
     except (OSError, ValueError):

@@ -28,7 +28,7 @@ from .kinematic_checks import (
     check_steering_gain,
 )
 from .sensor_findings import SensorFinding, turning_rate
-from .usable_runs import is_localized
+from .usable_runs import is_localized, reason_unsteady
 
 __all__ = ["check", "correct"]
 
@@ -39,6 +39,9 @@ LEAST_SLOPE, LEAST_SHARE = 0.03, 0.6
 # A scale or offset of the accelerometer is wrong if it is off by this many standard errors; samples
 # per independent one after the low-pass.
 SURE, INDEPENDENT = 3.0, RATE_HZ / 2.0
+# A lateral velocity is inverted if it differs from the poses by this factor less with the other
+# sign; driving that tells it must last this long. Of the right sign the factor is at most 1.1.
+INVERTED, LEAST_MOVING_S = 1.3, 10.0
 # Corrections after which repair is given up.
 MOST_CORRECTIONS = 16
 
@@ -299,6 +302,9 @@ def _lateral_velocity(motions, setup, vehicle):
     motions = [motion for motion in motions if motion.v_y_odometry is not None]
     if not motions:
         return []
+    inverted = _inverted_lateral_velocity(motions)
+    if inverted:
+        return inverted
     own = np.concatenate([motion.v_y_odometry[motion.usable] for motion in motions])
     if own.size < RATE_HZ:
         return []
@@ -308,6 +314,42 @@ def _lateral_velocity(motions, setup, vehicle):
         f"{np.sqrt(np.mean((own - poses) ** 2)):.3f} m/s RMS"
     )
     return [SensorFinding("lateral velocity", text)]
+
+
+def _inverted_lateral_velocity(motions):
+    """Whether the lateral velocity follows the poses better with the other sign.
+
+    What both may differ by beside the sign, a velocity of another point of the car, is proportional
+    to the yaw rate. Only ordinary driving uses the lateral velocity of the odometry.
+    """
+    used = [
+        motion.moving & motion.coherent & np.isfinite(motion.beta + motion.v_y_odometry)
+        for motion in motions
+    ]
+    if sum(map(np.count_nonzero, used)) < LEAST_MOVING_S * RATE_HZ:
+        return []
+    own, poses, r = (
+        np.concatenate([values[k] for values, k in zip(columns, used)])
+        for columns in (
+            [motion.v_y_odometry for motion in motions],
+            [motion.v_x * np.tan(motion.beta) for motion in motions],
+            [motion.r for motion in motions],
+        )
+    )
+    rest = np.column_stack((r, np.ones(r.size)))
+    left = {}
+    for sign in (1.0, -1.0):
+        off = own - sign * poses
+        left[sign] = float(np.std(off - rest @ np.linalg.lstsq(rest, off, rcond=None)[0]))
+    if left[1.0] < INVERTED * left[-1.0]:
+        return []
+    text = (
+        "lateral velocity: that of the odometry is opposite to that of the poses, from which it "
+        f"differs by {left[-1.0]:.3f} m/s RMS with the other sign, and by {left[1.0]:.3f} m/s as "
+        "it is"
+    )
+    critical = any(map(reason_unsteady, motions))
+    return [SensorFinding("lateral velocity", text, critical=critical)]
 
 
 def _sides(motions, setup, vehicle):

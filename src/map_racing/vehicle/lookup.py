@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 
 from ..errors import FileFormatError, ParameterError
-from ..files import read_yaml_mapping, replacing, together
+from ..files import read_yaml_mapping, refuse_special, replacing, together, yaml_text
 from ..tables import open_text, parse_rows
 from ..validation import positive
 
 __all__ = ["LookupTable", "Provenance", "load_table"]
+
+
+# Wheelbases of cars [m].
+_SHORTEST, _LONGEST = 0.01, 10.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,13 @@ class Provenance:
     generator: str
 
     def __post_init__(self):
-        positive("l_wb", self.l_wb)
+        for name in ("vehicle", "tire_model", "parameter_hash", "generator"):
+            if not isinstance(getattr(self, name), str):
+                raise ParameterError(f"{name}: expected a text, got {getattr(self, name)!r}")
+        if not _SHORTEST <= positive("l_wb", self.l_wb) <= _LONGEST:
+            raise ParameterError(
+                f"l_wb: expected {_SHORTEST:g} to {_LONGEST:g} m, got {self.l_wb:g}"
+            )
 
 
 class _Column(NamedTuple):
@@ -80,7 +89,9 @@ class LookupTable:
         The table, read-only.
     provenance : Provenance or None
     l_wb : float
-        Wheelbase [m], from `provenance`, or estimated from the row of the smallest angle.
+        Wheelbase [m], from `provenance` or, without one, `l_wb_of_cells`.
+    l_wb_of_cells : float
+        Wheelbase [m] estimated from the row of the smallest angle.
 
     Raises
     ------
@@ -136,11 +147,12 @@ class LookupTable:
         self._columns = [columns[j] for j in usable]
         self._v = [float(self.speeds[j]) for j in usable]
         self._w = [1.0 / (v * v) for v in self._v]
-        self.l_wb = provenance.l_wb if provenance is not None else self._estimate_wheelbase()
-        if not 0.01 <= self.l_wb <= 10.0:
+        self.l_wb_of_cells = self._estimate_wheelbase()
+        self.l_wb = self.l_wb_of_cells if provenance is None else provenance.l_wb
+        if not _SHORTEST <= self.l_wb <= _LONGEST:
             raise ParameterError(
-                "a_lat: expected cells at small angles that give a wheelbase of 0.01 to 10 m, "
-                f"got {self.l_wb:.3g} m"
+                f"a_lat: expected cells at small angles that give a wheelbase of {_SHORTEST:g} to "
+                f"{_LONGEST:g} m, got {self.l_wb:.3g} m"
             )
         self._refuse_spikes()
         self._at_rest = self._standstill()
@@ -266,7 +278,7 @@ class LookupTable:
         with together():
             if self.provenance is not None:
                 with replacing(_sidecar(path)) as file:
-                    yaml.safe_dump(dataclasses.asdict(self.provenance), file, sort_keys=False)
+                    file.write(yaml_text(dataclasses.asdict(self.provenance)))
             with replacing(path) as file:
                 file.write(text)
         if self.provenance is None and _sidecar(path).exists():
@@ -330,6 +342,7 @@ def load_table(path: str | Path) -> LookupTable:
     -----
     Cell [0, 0] is ignored; in published tables it is often uninitialized memory.
     """
+    refuse_special(path)
     path = Path(path)
     table = _read_rows(path)
     try:
@@ -406,6 +419,9 @@ def _read_rows(path):
     with open_text(path) as file:
         rows = [(n, line.split(",")) for n, line in enumerate(file, 1) if line.strip()]
     columns = range(1, 1 + len(rows[0][1]) if rows else 1)
+    other = next((mark for mark in ";\t" if rows and any(mark in cell for cell in rows[0][1])), "")
+    if other:
+        raise FileFormatError(f"{path}: expected cells separated by commas, got {other!r}")
     if len(rows) < 2 or len(columns) < 2:
         got = f"{len(rows)} row{'s' * (len(rows) != 1)}"
         if rows and len(columns) < 2:
@@ -422,8 +438,12 @@ def _read_provenance(path):
     if not sidecar.is_file():
         return None
     values = read_yaml_mapping(sidecar)
+    names = [field.name for field in dataclasses.fields(Provenance)]
+    if set(values) != set(names):
+        raise FileFormatError(
+            f"{sidecar}: expected the keys {', '.join(names)}, got {', '.join(map(str, values))}"
+        )
     try:
         return Provenance(**values)
-    except (ParameterError, TypeError):
-        names = ", ".join(field.name for field in dataclasses.fields(Provenance))
-        raise FileFormatError(f"{sidecar}: expected the keys {names} and a positive l_wb") from None
+    except ParameterError as error:
+        raise FileFormatError(f"{sidecar}: {error}") from None

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Union
 
-import yaml
-
 from ..errors import FileFormatError, ParameterError
-from ..files import read_yaml_mapping, replacing
+from ..files import read_yaml_mapping, replacing, yaml_text
 from ..resources import find_config
 from ..validation import POSITIVE, check, documented, finite, parameter, positive
 from .plausibility import doubts_of_vehicle
@@ -225,7 +223,7 @@ def save_vehicle(vehicle: Vehicle, path: str | Path, comment: str = "") -> None:
     MapRacingError
         If the file cannot be written.
     """
-    lines = yaml.safe_dump(vehicle_values(vehicle), sort_keys=False, default_flow_style=None)
+    lines = yaml_text(vehicle_values(vehicle), default_flow_style=None)
     with replacing(path) as file:
         file.write("# Vehicle of map_racing: SI units and radians\n")
         file.writelines(f"# {line}".rstrip() + "\n" for line in comment.splitlines())

@@ -25,6 +25,7 @@ __all__ = [
     "HIGHEST_FRICTION",
     "doubts_of_cells",
     "doubts_of_peak",
+    "doubts_of_provenance",
     "doubts_of_table",
     "doubts_of_vehicle",
     "friction_doubt",
@@ -130,10 +131,10 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle, linear: bool = False) 
 
     With `linear`, the table is meant for linear tires and may exceed the grip of the car's tires.
     """
-    doubts = []
-    if abs(table.l_wb / vehicle.l_wb - 1.0) > ANOTHER:
+    doubts = doubts_of_provenance(table)
+    if abs(table.l_wb_of_cells / vehicle.l_wb - 1.0) > ANOTHER:
         doubts.append(
-            f"lookup table: its low speeds fit a wheelbase of {table.l_wb:.3g} m, but "
+            f"lookup table: its low speeds fit a wheelbase of {table.l_wb_of_cells:.3g} m, but "
             f"{vehicle.name} has {vehicle.l_wb:.3g} m: another car's, or in other units?"
         )
     if table.angles[-1] < NARROW * vehicle.delta_max:
@@ -150,6 +151,16 @@ def doubts_of_table(table: LookupTable, vehicle: Vehicle, linear: bool = False) 
             f"{min(most, vehicle.a_lat_max):.3g} m/s^2: made for other tires, or linear ones?"
         )
     return doubts + peak + doubts_of_cells(table)
+
+
+def doubts_of_provenance(table: LookupTable) -> list[str]:
+    """Doubt that the provenance beside a table is its own; empty if it is, or there is none."""
+    if table.provenance is None or abs(table.l_wb / table.l_wb_of_cells - 1.0) <= ANOTHER:
+        return []
+    return [
+        f"lookup table: its low speeds fit a wheelbase of {table.l_wb_of_cells:.3g} m, but the "
+        f".meta.yaml beside it has {table.l_wb:.3g} m: another table's?"
+    ]
 
 
 def doubts_of_cells(table: LookupTable) -> list[str]:

@@ -193,6 +193,13 @@ def test_robust_tuning_refuses_what_it_would_ignore(tmp_path, capsys, option):
     assert not (tmp_path / "x").exists()
 
 
+def test_an_impossible_share_is_refused_before_the_tuning(tmp_path, capsys):
+    words = ["tune", "--robust", "--grip-use", "0.8", "2", "--output", str(tmp_path / "x")]
+    assert main(words) == 1
+    assert "grip_use: expected 0 to 1.2, got 2" in capsys.readouterr().err
+    assert not (tmp_path / "x" / "runs").exists()
+
+
 @pytest.mark.once
 def test_a_bump_leaves_the_rest_of_the_line_where_it_is():
     line = load_raceline("reference")

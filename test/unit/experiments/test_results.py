@@ -107,6 +107,18 @@ def test_a_controller_without_name_is_refused(tmp_path, name):
         read_results(tmp_path)
 
 
+@pytest.mark.parametrize("content", ["[" * 5000, "SCALE"])
+def test_damaged_results_are_refused(tmp_path, content):
+    write_results(tmp_path, results())
+    path = tmp_path / "results.json"
+    whole = path.read_text()
+    path.write_text(whole.replace("0.7,", "null,") if content == "SCALE" else content)
+    with pytest.raises(FileFormatError, match="results.json: expected results of an experiment"):
+        read_results(tmp_path)
+
+
 def test_other_folders_are_refused(tmp_path):
+    with pytest.raises(FileFormatError, match="'': expected the name of a result directory"):
+        read_results("")
     with pytest.raises(FileFormatError, match="expected a result directory with results.json"):
         read_results(tmp_path)

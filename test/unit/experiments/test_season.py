@@ -271,6 +271,10 @@ def test_the_command(bags, tmp_path, capsys):
     assert sorted(points) == [1, 1, 1, 4, 4, 4]
     assert main(["season", str(tmp_path / "season"), "--output", str(tmp_path / "b")]) == 1
     assert "no bags below" in capsys.readouterr().err
+    assert main(["season", str(bags), "--output", ""]) == 1
+    assert "'': expected the name of a folder" in capsys.readouterr().err
+    assert main([*arguments, "--car-width", "-1"]) == 1
+    assert "car width: expected 0 to 10 m, got -1" in capsys.readouterr().err
 
 
 def test_a_cluster_gives_the_same_table(bags, tmp_path, monkeypatch):

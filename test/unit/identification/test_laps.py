@@ -14,6 +14,7 @@ from map_racing.identification.data import Signal
 from map_racing.identification.delay import estimate_delays
 from map_racing.identification.laps import tires_from_laps
 from map_racing.identification.replay import actuators_of, replay
+from map_racing.identification.survey import survey
 from map_racing.vehicle.parameters import linearized, load_vehicle
 from map_racing.vehicle.single_track import GRAVITY
 from map_racing.vehicle.tires import PacejkaTire
@@ -203,6 +204,21 @@ def test_an_odometry_in_other_units_or_turned_around(low, found, factor):
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("point", [0.0, 0.145])
+def test_an_inverted_lateral_velocity_is_named(low, point):
+    """Also one of another point of the car, as far ahead of the rear axle."""
+    run, _ = low
+    v_y, r = run.signals["v_y"], run.signals["yaw_rate"]
+
+    def surveyed(sign):
+        signal = Signal(v_y.t, sign * (v_y.value + point * r.value))
+        return survey([dataclasses.replace(run, signals={**run.signals, "v_y": signal})], NUC4)
+
+    assert not any("opposite" in finding.text for finding in surveyed(1.0).findings)
+    with pytest.raises(IdentificationError, match="lateral velocity: .* opposite to .* poses"):
+        surveyed(-1.0)
+
+
 def test_no_less_grip_than_was_demonstrated(low):
     """A file with less grip than the car has shown is wrong, determined or not."""
     run, true = low

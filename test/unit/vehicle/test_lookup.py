@@ -25,6 +25,8 @@ TABLES = {
 }
 TABLE = TABLES["NUC4"]
 
+META = "vehicle: NUC4\ntire_model: linear\nparameter_hash: abc\nl_wb: 0.32\ngenerator: a program\n"
+
 any_table = pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 speeds = st.one_of(st.floats(-20.0, 20.0), st.floats(0.0, 1e300), st.sampled_from(SPEEDS.tolist()))
 accelerations = st.floats(-15.0, 15.0)
@@ -362,7 +364,7 @@ def test_a_table_without_provenance_does_not_inherit_an_old_one(tmp_path):
     [
         ("0,1,2\n0.1,1\n", "table.csv:2: expected 3 columns, got 2"),
         ("0,1,2\n0.1,1,2\n\n0.2,x,4\n", "table.csv:4: column 2: expected a number, got 'x'"),
-        ("0;1;2\n0.1;1;2\n", "speeds, then rows of angles, got no comma in '0;1;2'"),
+        ("0;1;2\n0.1;1;2\n", "expected cells separated by commas, got ';'"),
         ("0,2,1\n0.1,1,2\n", "speeds: expected ascending values, got 2 before 1"),
         ("0,1\n0.2,1\n0.1,2\n", "angles: expected ascending values, got 0.2 before 0.1"),
         ("0,1\n0.1,inf\n", "a_lat: expected finite values or NaN"),
@@ -388,12 +390,43 @@ def test_missing_and_binary_files_are_refused(tmp_path):
         load_table(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["vehicle: X\n", "l_wb: -1\n", "- 1\n", "a: b: c\n", "1: 2\n"])
-def test_damaged_sidecars_are_refused(tmp_path, text):
-    TABLE.save(tmp_path / "table.csv")
-    (tmp_path / "table.meta.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(FileFormatError, match="table.meta.yaml"):
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_cells_with_another_delimiter_are_refused(tmp_path, mark):
+    (tmp_path / "table.csv").write_text(f"0{mark}1,5{mark}2\n0,1{mark}1{mark}2\n")
+    with pytest.raises(FileFormatError, match="table.csv: expected cells separated by commas, got"):
         load_table(tmp_path / "table.csv")
+    with pytest.raises(FileFormatError, match="'': expected the name of a file"):
+        load_table("")
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("vehicle: X\n", "expected the keys vehicle, tire_model, .*, got vehicle$"),
+        ("- 1\n", "expected keys and values, got a list"),
+        ("a: b: c\n", "expected YAML"),
+        ("1: 2\n", "expected the keys .* got 1$"),
+        (META + "note: mine\n", "expected the keys .*, note$"),
+        (META.replace("0.32", "-1"), "l_wb: expected a positive number, got -1"),
+        (META.replace("0.32", "0.32 m"), "l_wb: expected a finite number, got '0.32 m'"),
+        (META.replace("0.32", "320"), "l_wb: expected 0.01 to 10 m, got 320"),
+        (META.replace("NUC4", "[NUC4]"), r"vehicle: expected a text, got \['NUC4'\]"),
+        (META.replace("abc", "12"), "parameter_hash: expected a text, got 12"),
+    ],
+)
+def test_damaged_sidecars_are_refused(tmp_path, text, said):
+    TABLE.save(tmp_path / "table.csv")
+    (tmp_path / "table.meta.yaml").write_text(META, encoding="utf-8")
+    load_table(tmp_path / "table.csv")
+    (tmp_path / "table.meta.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(FileFormatError, match=f"table.meta.yaml(:1)?: {said}"):
+        load_table(tmp_path / "table.csv")
+
+
+def test_a_fingerprint_that_looks_like_a_number_comes_back(tmp_path):
+    provenance = Provenance("1e3", "linear", "123456e78901", 0.32, "map_racing")
+    LookupTable(TABLE.speeds, TABLE.angles, TABLE.a_lat, provenance).save(tmp_path / "table.csv")
+    assert load_table(tmp_path / "table.csv").provenance == provenance
 
 
 def test_provenance_refuses_an_impossible_wheelbase():

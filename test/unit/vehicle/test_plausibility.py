@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from map_racing.errors import ParameterError
+from map_racing.vehicle.grids import published_grid
 from map_racing.vehicle.lookup import LookupTable, load_table
 from map_racing.vehicle.parameters import linearized, load_vehicle, vehicle_values
 from map_racing.vehicle.plausibility import (
@@ -161,6 +162,18 @@ def test_tables_in_other_units_are_doubted(speed, angle, a_lat, said):
     other = LookupTable(speed * own.speeds, angle * own.angles, a_lat * own.a_lat)
     doubts = doubts_of_table(other, car)
     assert bool(doubts) == bool(said) and said in "".join(doubts)
+
+
+def test_the_provenance_of_another_table_is_doubted():
+    car = load_vehicle("nuc4")
+    table, longer = (
+        steady_state_table(one, *published_grid())
+        for one in (car, dataclasses.replace(car, l_f=0.3, l_r=0.3))
+    )
+    assert doubts_of_table(table, car) == []
+    swapped = LookupTable(table.speeds, table.angles, table.a_lat, longer.provenance)
+    (doubt,) = doubts_of_table(swapped, car)
+    assert "fit a wheelbase of 0.307 m, but the .meta.yaml beside it has 0.6 m" in doubt
 
 
 def test_a_table_that_was_cut_off_is_doubted():
