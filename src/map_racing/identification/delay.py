@@ -330,8 +330,8 @@ def _spread(observed):
     return float(np.sqrt(np.mean((value - mean[window]) ** 2)))
 
 
-def _part(value, unsure, reason=""):
-    return Part(float(value), max(float(value - unsure), 0.0), float(value + unsure), reason)
+def _part(value, unsure):
+    return Part(float(value), max(float(value - unsure), 0.0), float(value + unsure))
 
 
 PARTS = (
