@@ -107,9 +107,9 @@ class Batch:
         return places[self._starts].view(np.uint8).reshape(-1, size)
 
 
-def batched(messages: Iterator[Message], size: int = 2048) -> Iterator[Batch]:
-    """Batches of messages, of so many at most."""
-    for batch in iter(lambda: list(islice(messages, size)), []):
+def batched(messages: Iterator[Message]) -> Iterator[Batch]:
+    """Batches of up to 2048 messages."""
+    for batch in iter(lambda: list(islice(messages, 2048)), []):
         numbers, times, data = zip(*batch)
         stops = np.cumsum(np.fromiter(map(len, data), np.int64, len(data)))
         starts = np.append(0, stops[:-1])

@@ -186,6 +186,11 @@ class Recording:
     notes: list[str] = field(default_factory=list)
 
     @property
+    def speed(self) -> np.ndarray:
+        """Measured speed [m/s]; without a lateral velocity, the longitudinal one."""
+        return np.hypot(self.v_x, np.where(np.isnan(self.v_y), 0.0, self.v_y))
+
+    @property
     def date(self) -> str:
         """Date of the recording, see `date_of`."""
         return date_of(self.t0_ns)

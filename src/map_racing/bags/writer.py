@@ -128,9 +128,10 @@ class BagWriter:
         values = (frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk)
         self._write(topic, msg.ACKERMANN, stamp, received, encoding.encode_drive, values)
 
-    def belief(self, stamp, values, *, topic=BELIEF_TOPIC, frame="map", received=None):
+    def belief(self, stamp, values, *, received=None):
         """Estimates of the adaptive controller: `BELIEF_FIELDS` in order."""
-        self._write(topic, msg.BELIEF, stamp, received, encoding.encode_belief, (frame, *values))
+        values = ("map", *values)
+        self._write(BELIEF_TOPIC, msg.BELIEF, stamp, received, encoding.encode_belief, values)
 
     def imu(
         self,
@@ -164,12 +165,11 @@ class BagWriter:
         *,
         topic="/global_waypoints",
         frame="map",
-        latched=True,
         received=None,
     ):
         """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
         values, encode = (frame, rows.tolist()), encoding.encode_waypoints
-        self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=latched)
+        self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=True)
 
     def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
         """A text as ``std_msgs/String``; it has no stamp of its own."""
@@ -177,10 +177,10 @@ class BagWriter:
             topic, msg.STRING, stamp, received, encoding.encode_string, (text,), latched=latched
         )
 
-    def state(self, stamp, text, level, *, hardware="", topic=DIAGNOSTICS_TOPIC, received=None):
+    def state(self, stamp, text, level):
         """State of the controller as its node words it, with its level in diagnostics."""
-        values = (level, f"controller{STATE}", text, hardware)
-        self._write(topic, msg.DIAGNOSTICS, stamp, received, encoding.encode_status, values)
+        values, encode = (level, f"controller{STATE}", text, ""), encoding.encode_status
+        self._write(DIAGNOSTICS_TOPIC, msg.DIAGNOSTICS, stamp, None, encode, values)
 
     def _write(self, topic, kind, stamp, received, encode, values, latched=False):
         entry = self._topics.get(topic)

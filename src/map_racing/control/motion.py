@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 __all__ = ["Motion", "MotionEstimate"]
 
+WINDOW_S = 0.1  # time span of the poses used
+
 
 class Motion(NamedTuple):
     """Velocity along the car's axes [m/s, m/s] and yaw rate [rad/s]."""
@@ -23,15 +25,9 @@ class MotionEstimate:
     The slope of a fit through n poses has ``sqrt(12 / (n (n^2 - 1)))`` times the noise of one pose,
     divided by the pose interval: at 40 Hz and 0.1 s, 1 cm of noise becomes 0.13 m/s. The estimate
     lags by half the window.
-
-    Parameters
-    ----------
-    window : float, optional
-        Time span of the poses used [s].
     """
 
-    def __init__(self, window: float = 0.1):
-        self.window = float(window)
+    def __init__(self):
         self.reset()
 
     def reset(self):
@@ -65,7 +61,7 @@ class MotionEstimate:
                 last = poses[-1][3]
                 psi = last + math.remainder(psi - last, math.tau)
         poses.append((t, x, y, psi))
-        while len(poses) > 2 and t - poses[0][0] > self.window + 1e-9:
+        while len(poses) > 2 and t - poses[0][0] > WINDOW_S + 1e-9:
             poses.popleft()
         return self._motion()
 

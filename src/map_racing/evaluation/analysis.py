@@ -16,8 +16,8 @@ from .places import (
     Corner,
     Ideal,
     Reference,
+    against_best,
     against_ideal,
-    against_lap,
     against_run,
     corners_of,
     ideal_lap,
@@ -157,7 +157,7 @@ def references(run: RunAnalysis, others: list[RunAnalysis]) -> list[Reference]:
     ]
     if len(run.profile.counted) > 1:
         found.append(against_ideal(run.profile, run.ideal))
-        found.append(against_lap(run.profile.best))
+        found.append(against_best(run.profile.best))
     speed, name = run.planned, "the speeds asked for"
     if speed is None:
         speed, name = run.profile.track.speed, "the raceline's speeds"

@@ -75,7 +75,7 @@ def doubts_of(recording: Recording, spans: Sequence[tuple[float, float]]) -> lis
     list of str
     """
     topic, t, x, y = recording.topic, recording.t, recording.x, recording.y
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    v = recording.speed
     begin = min((begin for begin, _ in spans), default=math.inf)
     end = max((end for _, end in spans), default=-math.inf)
     found = chords(t, x, y, v if is_measured(v) else None)
@@ -342,8 +342,7 @@ def unfollowed(recording: Recording) -> str:
     if commands is None or not commands.t.size:
         return ""
     t = recording.t
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    v = speed_of(t, recording.x, recording.y, v)
+    v = speed_of(t, recording.x, recording.y, recording.speed)
     every = slice(None, None, max(t.size // _ENOUGH, 1))
     t, v = t[every], v[every]
     found = []

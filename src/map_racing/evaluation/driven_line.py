@@ -277,5 +277,5 @@ def _smoothed(values, length, wavelength):
 
 def _measured_speed(recording, t):
     """Speed at given times; None if it was not measured throughout."""
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    v = recording.speed
     return np.interp(t, recording.t, v) if np.isfinite(v).all() else None

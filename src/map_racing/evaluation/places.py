@@ -21,7 +21,7 @@ __all__ = [
     "corners_of",
     "costliest",
     "against_ideal",
-    "against_lap",
+    "against_best",
     "against_run",
     "ideal_lap",
 ]
@@ -324,9 +324,9 @@ def against_ideal(run: RunProfile, ideal: Ideal) -> Reference:
     return Reference("the ideal lap", time, columns["v"], columns["d"])
 
 
-def against_lap(profile: LapProfile, name: str = "the best lap") -> Reference:
-    """A lap as a reference."""
-    return Reference(name, *(profile.values[channel] for channel in ("time", "v", "d")))
+def against_best(best: LapProfile) -> Reference:
+    """The best lap as a reference."""
+    return Reference("the best lap", *(best.values[channel] for channel in ("time", "v", "d")))
 
 
 def against_run(other: RunProfile, name: str) -> Reference:

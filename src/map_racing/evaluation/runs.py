@@ -123,9 +123,8 @@ def evaluate(
     if recording.commands is not None:
         speed_command = recording.commands.held(recording.t, recording.commands.speed)
         steering = recording.commands.held(recording.t, recording.commands.steering_angle)
-    # Lateral speed is often not measured; then the longitudinal speed counts as the speed.
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
-    evaluator.update(recording.t, recording.x, recording.y, v, speed_command, steering)
+    poses = recording.t, recording.x, recording.y
+    evaluator.update(*poses, recording.speed, speed_command, steering)
     result = evaluator.finish()
     if not result.laps:
         raise EvaluationError(f"{recording.source}: expected at least two samples")

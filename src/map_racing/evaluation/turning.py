@@ -60,7 +60,7 @@ def speed_driven(recording: Recording) -> tuple[np.ndarray, bool]:
     If the measured speed is missing, or does not match the poses or is late, it is their speed.
     """
     t, x, y = recording.t, recording.x, recording.y
-    v = np.hypot(recording.v_x, np.where(np.isnan(recording.v_y), 0.0, recording.v_y))
+    v = recording.speed
     doubtful = bool(speed_warning("", t, x, y, v) or late_speed("", t, x, y, v))
     driven = speed_of(t, x, y, np.full(v.size, np.nan) if doubtful else v)
     return driven, driven is v

@@ -80,15 +80,13 @@ def truth(job: RaceJob) -> tuple[Vehicle, float]:
     return vehicle, delay
 
 
-def at_the_limit(
-    job: RaceJob, vehicle: Vehicle, delay_s: float, grip_use: float = GRIP_USE, laps: int = LAPS
-) -> RaceJob:
+def at_the_limit(job: RaceJob, vehicle: Vehicle, delay_s: float) -> RaceJob:
     """The race of a job whose controller uses these tires and this delay."""
-    settings = job.controller.with_(speed_scale=1.0, grip_use=grip_use, delay_s=delay_s)
-    return dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=laps)
+    settings = job.controller.with_(speed_scale=1.0, grip_use=GRIP_USE, delay_s=delay_s)
+    return dataclasses.replace(job, controller=settings, vehicle=vehicle, laps=LAPS)
 
 
-def laps_to_car(job: RaceJob, grip_use: float = GRIP_USE) -> Found:
+def laps_to_car(job: RaceJob) -> Found:
     """Identify a car from laps at 70 % of the speed, and race it at the raceline's speeds.
 
     Parameters
@@ -96,8 +94,6 @@ def laps_to_car(job: RaceJob, grip_use: float = GRIP_USE) -> Found:
     job : RaceJob
         Car, track, controller and its initial model of the car; its scale and number of laps do not
         matter.
-    grip_use : float
-        For both races.
     """
     run = _cautious_laps(job)
     laps = identify_car([run], job.vehicle).laps
@@ -108,7 +104,7 @@ def laps_to_car(job: RaceJob, grip_use: float = GRIP_USE) -> Found:
         (laps.vehicle, job.controller.delay_s if delay is None else delay),
         (true, true_delay),
     ):
-        result = execute(at_the_limit(job, vehicle, delay_s, grip_use)).result
+        result = execute(at_the_limit(job, vehicle, delay_s)).result
         times = [lap.lap_time_s for lap in result.laps]
         races.append((result.outcome, float(np.mean(times)) if times else math.nan))
     found = laps.vehicle

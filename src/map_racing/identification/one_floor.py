@@ -9,7 +9,7 @@ import numpy as np
 from ..vehicle.parameters import Vehicle
 from .data import Run
 from .driving import FEWEST_WINDOWS, Driving, Windows, windows_of
-from .output_error import believed, fit_car, own_errors, simulate
+from .output_error import believed, own_errors
 from .robust_fit import Believed, Fitted
 from .sensor_findings import SensorFinding
 
@@ -48,13 +48,13 @@ def mixed_runs(
     -------
     SensorFinding or None
     """
-    odd = []
+    odd, beliefs = [], believed(**prior)
     for drive, label in zip(drives, labels):
         windows = windows_of([drive], **cut)
         if windows.count < FEWEST_WINDOWS:
             continue
-        own = fit_car(base, windows, believed(**prior), near=fitted)
-        common, alone = (_residual(base, windows, values) for values in (fitted, own))
+        whole = np.ones(windows.count, dtype=bool)
+        ((common, alone),) = own_errors(base, windows, beliefs, fitted, [whole])
         if common > MIXED * alone:
             odd.append(f"{label}: {common:.3f} rad/s of yaw rate, its own {alone:.3f} rad/s")
     if not odd:
@@ -120,9 +120,3 @@ def _places(run, begin):
             names = f"half with smaller {axis}", f"half with larger {axis}"
             places[names] = np.interp(begin, run.setup.time_scale * t, value)
     return places
-
-
-def _residual(base, windows, fitted):
-    """Robust standard deviation of a fit's yaw rate residuals [rad/s]."""
-    simulated = windows.at("r", simulate(base, windows, fitted.values)["r"])[0]
-    return 1.4826 * float(np.median(np.abs(simulated - windows.observed["r"][-1])))

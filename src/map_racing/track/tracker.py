@@ -24,12 +24,12 @@ class RacelineTracker:
     Parameters
     ----------
     raceline : Raceline
-    max_deviation : float, optional
-        Largest plausible distance from the curve [m]. Default: 0.5 m beyond the farther wall or,
-        without walls, 2 m.
 
     Attributes
     ----------
+    max_deviation : float
+        Largest plausible distance from the curve [m]: 0.5 m beyond the farther wall or, without
+        walls, 2 m.
     reacquired : bool
         Whether the last update searched the whole track and found the car elsewhere than expected;
         true on the first update.
@@ -37,13 +37,10 @@ class RacelineTracker:
         Whether the car was farther from the curve than `max_deviation` at the last update.
     """
 
-    def __init__(self, raceline: Raceline, *, max_deviation: float | None = None):
-        if max_deviation is None:
-            max_deviation = 2.0
-            if raceline.d_left is not None:
-                max_deviation = 0.5 + max(raceline.d_left.max(), raceline.d_right.max())
-        self.raceline = raceline
-        self.max_deviation = float(max_deviation)
+    def __init__(self, raceline: Raceline):
+        self.raceline, self.max_deviation = raceline, 2.0
+        if raceline.d_left is not None:
+            self.max_deviation = 0.5 + float(max(raceline.d_left.max(), raceline.d_right.max()))
         self.reset()
 
     def reset(self) -> None:

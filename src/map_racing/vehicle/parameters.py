@@ -160,7 +160,7 @@ def load_vehicle(source: str | Path) -> Vehicle:
     values = read_yaml_mapping(path, "a vehicle file")
     try:
         values, notes = _joined(path, values)
-        vehicle = _vehicle(values, default_name=path.stem)
+        vehicle = vehicle_of(values, path.stem)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
     return dataclasses.replace(vehicle, notes=(*notes, *vehicle.notes))
@@ -246,17 +246,6 @@ def vehicle_values(vehicle: Vehicle) -> dict:
     return values
 
 
-def vehicle_of(values: dict, name: str = "vehicle") -> Vehicle:
-    """Make a car from the keys and values of a file, see `load_vehicle`.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is missing or impossible.
-    """
-    return _vehicle(values, default_name=name)
-
-
 def parameter_hash(vehicle: Vehicle) -> str:
     """Fingerprint of the single-track model, to tell which car a lookup table belongs to.
 
@@ -317,8 +306,14 @@ def _scaled(tire, factor):
     return dataclasses.replace(tire, C_S=tire.C_S * factor)
 
 
-def _vehicle(values, default_name):
-    """Build a `Vehicle` from the keys of a file."""
+def vehicle_of(values: dict, default_name: str = "vehicle") -> Vehicle:
+    """Make a car from the keys and values of a file, see `load_vehicle`.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is missing or impossible.
+    """
     rest, notes = {}, []
     for key, value in values.items():
         key = _SYNONYMS.get(key, key)

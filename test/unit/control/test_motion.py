@@ -16,7 +16,7 @@ def circle(t, radius, rate):
 
 @pytest.mark.parametrize("rate", [2.0, -2.0])
 def test_circle(rate):
-    estimate = MotionEstimate(window=0.1)
+    estimate = MotionEstimate()
     for k in range(200):
         t = 1000.0 + 0.025 * k
         motion = estimate.update(t, *circle(t, 2.0, rate))
@@ -51,14 +51,14 @@ def test_a_pose_that_is_not_finite_is_left_out():
 
 
 def test_a_slow_localization_still_gives_a_velocity():
-    estimate = MotionEstimate(window=0.1)
+    estimate = MotionEstimate()
     for k in range(5):
         motion = estimate.update(0.5 * k, 0.5 * k, 0.0, 0.0)
     assert motion.v_x == pytest.approx(1.0)
 
 
 def test_what_is_older_than_the_window_is_forgotten():
-    estimate = MotionEstimate(window=0.1)
+    estimate = MotionEstimate()
     x, motions = 0.0, {}
     for k in range(40):
         x += 0.025 * (1.0 if k <= 20 else 3.0)

@@ -12,8 +12,8 @@ from map_racing.evaluation.places import (
     Corner,
     Place,
     Reference,
+    against_best,
     against_ideal,
-    against_lap,
     against_run,
     corners_of,
     costliest,
@@ -142,7 +142,7 @@ def test_side_and_place_of_the_deviation(reference, driving):
         lambda s: 4.0 - bump(s, reference.length, 13.8, 17.5),
         lambda s: -0.2 * bump(s, reference.length, 13.8, 15.0),
     )
-    place = costliest(bad, against_lap(good.best), corners_of(bad.track))[0]
+    place = costliest(bad, against_best(good.best), corners_of(bad.track))[0]
     assert place.corner.name == "second right" and place.wide_m == pytest.approx(-0.2, abs=0.02)
     assert place.wide_at == "entry" and "0.20 m closer to the inside at the entry" in place.why
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from .shared import add_join_option, add_number, add_recording_options
+from .shared import add_number, add_recording_options
 
 __all__ = ["add_evaluation_options", "add_limit_options", "add_options"]
 
@@ -22,13 +22,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def add_evaluation_options(parser: argparse.ArgumentParser) -> None:
     """Add the recordings and the options for evaluating them."""
-    parser.add_argument(
-        "recordings",
-        nargs="+",
-        metavar="RECORDING",
-        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file",
-    )
-    add_join_option(parser)
     add_recording_options(parser)
     parser.add_argument(
         "--reverse", action="store_true", help="the raceline was driven in the opposite direction"

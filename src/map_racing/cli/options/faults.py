@@ -2,8 +2,7 @@
 
 import argparse
 
-from ...resources import list_config
-from .shared import add_number
+from .shared import add_number, add_plant_option
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -15,12 +14,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="only print the names of the faults")
     parser.add_argument("--fault", metavar="NAME", help="rehearse only this fault")
-    parser.add_argument(
-        "--plant",
-        default="nuc4",
-        metavar="NAME",
-        help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
-        "(default: %(default)s)",
-    )
+    add_plant_option(parser)
     add_number(parser, "--seed", 1, "seed of the noise", metavar="N")
     parser.set_defaults(run="faults.run")

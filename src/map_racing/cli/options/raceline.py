@@ -4,7 +4,7 @@ import argparse
 import re
 
 from ...track.files.formats import FORMATS
-from .shared import add_join_option, add_number, add_recording_options
+from .shared import add_number, add_recording_options
 
 SOURCE = (
     "shipped track, raceline file (CSV, race_stack JSON, also .gz) or bag; FILE#KEY names the "
@@ -92,11 +92,7 @@ def add_optimize(actions):
         "file of a map of map_server, with --start",
     )
     parser.add_argument("--output", metavar="FILE", help="raceline to write (CSV, JSON or bag)")
-    parser.add_argument(
-        "--format",
-        choices=tuple(FORMATS),
-        help="format of the output (default: map_racing for .csv)",
-    )
+    add_format(parser)
     parser.add_argument(
         "--middle",
         metavar="FILE",
@@ -147,6 +143,15 @@ def _add_line(line):
         metavar="M",
         help="distance between the points that are moved [m] (default: 0.1 for a 1:10 car, more "
         "for a larger one)",
+    )
+
+
+def add_format(parser):
+    """Add the option for the format of the output."""
+    parser.add_argument(
+        "--format",
+        choices=tuple(FORMATS),
+        help="format of the output (default: map_racing for .csv)",
     )
 
 
@@ -213,20 +218,9 @@ def add_record(actions):
         "With a raceline the laps are those of evaluate; without one they are found from the path "
         "itself.",
     )
-    parser.add_argument(
-        "recordings",
-        nargs="+",
-        metavar="RECORDING",
-        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file",
-    )
-    add_join_option(parser)
     add_recording_options(parser)
     parser.add_argument("--output", required=True, metavar="FILE", help="raceline to write")
-    parser.add_argument(
-        "--format",
-        choices=tuple(FORMATS),
-        help="format of the output (default: map_racing for .csv)",
-    )
+    add_format(parser)
     parser.add_argument(
         "--lap",
         default="best",

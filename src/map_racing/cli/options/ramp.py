@@ -3,8 +3,7 @@
 import argparse
 
 from ...control.steering_ramp import RampParameters
-from ...resources import list_config
-from .shared import add_number
+from .shared import add_number, add_plant_option
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -14,13 +13,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "identify.launch does on the car: the data from which tires are identified."
     )
     defaults = RampParameters()
-    parser.add_argument(
-        "--plant",
-        default="nuc4",
-        metavar="NAME",
-        help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
-        "(default: %(default)s)",
-    )
+    add_plant_option(parser)
     parser.add_argument(
         "--speed",
         type=float,

@@ -10,6 +10,7 @@ __all__ = [
     "add_grid_options",
     "add_join_option",
     "add_number",
+    "add_plant_option",
     "add_recording_options",
     "add_results",
     "add_shared_options",
@@ -34,7 +35,14 @@ def add_join_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for reading recordings of laps."""
+    """Add recordings of laps, and the options for reading them."""
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="RECORDING",
+        help="bag of ROS 1 or 2 (folder, .db3, .mcap), or CSV file",
+    )
+    add_join_option(parser)
     parser.add_argument(
         "--raceline",
         metavar="FILE",
@@ -56,6 +64,17 @@ def add_number(parser, option: str, default: float, meaning: str, **settings) ->
     """Add a number option; its type and help text follow from the default."""
     text = f"{meaning} (default: %(default)s)"
     parser.add_argument(option, type=type(default), default=default, help=text, **settings)
+
+
+def add_plant_option(parser: argparse.ArgumentParser) -> None:
+    """Add the simulated car."""
+    parser.add_argument(
+        "--plant",
+        default="nuc4",
+        metavar="NAME",
+        help=f"the simulated car: YAML file, or shipped: {', '.join(list_config('plants'))} "
+        "(default: %(default)s)",
+    )
 
 
 def add_shared_options(parser: argparse.ArgumentParser, days: str = "seeds") -> None:
