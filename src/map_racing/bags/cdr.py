@@ -72,6 +72,7 @@ class _Stamped:
         )
 
     def _locate(self, data):
+        self._lengths = None  # until all is found in this message, which may be damaged
         self._frame, text, end = _text(data, 12)
         self._text = slice(16, text)
         self._name, self._name_text = b"", slice(0)

@@ -181,6 +181,15 @@ def test_many_messages_are_rearranged_as_each_alone(kind, data, name, other):
     assert Layout(connection).all([row.tobytes() for row in rows]) == alone
 
 
+def test_a_damaged_message_costs_no_intact_one():
+    original = ENCODED[msg.ODOMETRY]("map", "base_link", [0.0] * 6)
+    intact = bytes(TYPES.ros1_to_cdr(original, "nav_msgs/msg/Odometry"))
+    child = intact.index(b"base_link") - 4
+    damaged = intact[:child] + b"\xff\xff\0\0" + intact[child + 4 :]
+    rearrange = Layout(connection_of("/t", "nav_msgs/msg/Odometry", ""))
+    assert [rearrange(data) for data in (intact, damaged, intact)] == [original, b"", original]
+
+
 def test_paths_and_float64(tmp_path):
     make = TYPES.types
     stamp = make["builtin_interfaces/msg/Time"](sec=7, nanosec=8)
