@@ -131,5 +131,6 @@ def _write_controller(path, found):
     else:
         parameters = parameters.with_(delay_s=round(delay.value, 4))
         text = f"with delay_s of {parameters.delay_s:g} s"
+        text += f" ({delay.reason})" if delay.reason else ""
     save_controller_parameters(parameters, path, load_safety_limits(CONTROLLER, found.vehicle))
     return f"controller {CONTROLLER} written to {path}, {text}"

@@ -184,7 +184,8 @@ def provenance(found: IdentifiedCar, validated: Replay | None = None) -> str:
         for label, part in named:
             if part.value is not None:
                 interval = f"(95 %: {part.low:.3f} to {part.high:.3f})"
-                lines.append(f"{label}: {part.value:.3f} s {interval}.")
+                reason = f"; {part.reason}" if part.reason else ""
+                lines.append(f"{label}: {part.value:.3f} s {interval}{reason}.")
     lines.append(
         f"Steering: wheel angle = {found.setup.steering_gain:.4f} * signal "
         f"{found.setup.steering_offset_rad:+.4f} rad."

@@ -17,6 +17,7 @@ from ..vehicle.parameters import Vehicle
 from .data import Run, is_age
 from .drive import drive_windows, fit_drive
 from .driving import AT_LONGEST_S, FEWEST_WINDOWS, LONGEST_DELAY_S, driving_of, windows_of
+from .missing_commands import missing_commands
 from .one_floor import mixed_parts
 from .output_error import believed, fit_car
 from .robust_fit import CONFIDENCE
@@ -144,9 +145,10 @@ def estimate_delays(
         age_note = f"without the age of the pose: {age.reason}"
     else:
         age_note = ""
-        delay = Part(total.value + age.value, total.low + age.value, total.high + age.value)
+        delay = Part(*(one + age.value for one in total[:3]), total.reason)
     if age_note:
-        delay = delay._replace(reason=age_note)
+        reason = "; ".join(filter(None, (total.reason, age_note)))
+        delay = delay._replace(reason=reason)
     return Delays(
         delay,
         _speed_lookahead(total, drive_dead, drive_lag),
@@ -209,11 +211,12 @@ def _steering(runs, drives, models):
     odd = mixed_parts(vehicle, windows, beliefs, found, runs)
     if odd:
         return (Part(reason=f"{value:.3f} s, but {odd}"),) * 3
+    short = missing_commands(drives, lambda some: fit_car(vehicle, _windows(some), beliefs), found)
     samples = _stepping(drives, vehicle, beliefs, found)
     if samples is not None:
         text = f"the servo moves in steps of {SAMPLE_S:g} s, with a dead time of {samples} steps"
         dead = _part(samples * SAMPLE_S, 0.5 * SAMPLE_S)
-        return dead._replace(reason=text), dead, Part(0.0, 0.0, 0.0)
+        return _too_short(dead, short), dead._replace(reason=text), Part(0.0, 0.0, 0.0)
     if value > AT_LONGEST_S:
         reason = (
             f"the wheels turn at least {value:.2f} s after their commands, expected less than "
@@ -225,7 +228,16 @@ def _steering(runs, drives, models):
         return (Part(reason=reason),) * 3
     dead = CONFIDENCE * found.deviation({"delay": 1.0 - share, "share": -value})
     lag = CONFIDENCE * found.deviation({"delay": share, "share": value})
-    return _part(value, unsure), _part(value * (1.0 - share), dead), _part(value * share, lag)
+    total = _too_short(_part(value, unsure), short)
+    return total, _part(value * (1.0 - share), dead), _part(value * share, lag)
+
+
+def _too_short(part, short):
+    """The part if commands are missing that could make it longer by `short` [s]."""
+    if not short:
+        return part
+    reason = f"commands are missing in the recording: up to {short:.3f} s too short"
+    return part._replace(high=part.high + short, reason=reason)
 
 
 def _windows(drives):

@@ -86,6 +86,7 @@ def _delay_rows(run):
         advice = "" if math.isnan(driven) else "keep"
         if not low - _SAME_DELAY <= driven <= high + _SAME_DELAY and not math.isnan(driven):
             advice = f"{key}: {value:.3f}"
+        advice = "; ".join(filter(None, (advice, entry["reason"])))
         rows.append(
             [what, f"{value:.3f} s", f"{low:.3f} to {high:.3f} s", _seconds(driven), advice]
         )

@@ -223,6 +223,40 @@ def test_the_line_in_a_recording_of_the_public_simulator(shared_data):
     assert delays.delay.value == pytest.approx(0.05, abs=0.003)
 
 
+def throttled(run, count):
+    """Every `count`-th command of a run alone is recorded."""
+    names = ("steering", "speed_command")
+    kept = {name: Signal(*(column[::count] for column in run.signals[name])) for name in names}
+    return dataclasses.replace(run, signals={**run.signals, **kept})
+
+
+def test_missing_commands_are_told_from_rare_ones(tmp_path):
+    """Of 40 commands a second the recorder keeps ten, or there are only ten."""
+    line, laps = load_raceline("reference"), []
+    for every in (1, 4):
+        plant, localization = build_plant(load_plant("nuc4"), seed=2)
+        parameters = load_controller_parameters("map").with_(speed_scale=0.7)
+        controller = build_controller(parameters, NUC4, line)
+        held, steps = [], controller.step
+
+        def step(*arguments, every=every, held=held, steps=steps, **options):
+            held.append(steps(*arguments, **options))
+            return held[len(held) - 1 - (len(held) - 1) % every]
+
+        controller.step = step
+        log = race(plant, controller, line, localization, laps=2)
+        write_race_bag(tmp_path / "a.bag", log, line)
+        laps.append(load_run(tmp_path / "a.bag"))
+    dense, rare = laps
+    whole = estimate_delays([dense], NUC4).delay
+    lacking = estimate_delays([throttled(dense, 4)], NUC4).delay
+    assert whole.reason == "" and lacking.low < whole.value < lacking.high
+    assert lacking.value < whole.value - 0.01
+    assert "commands are missing in the recording: up to 0.050 s too short" in lacking.reason
+    truly = estimate_delays([throttled(rare, 4)], NUC4).delay
+    assert truly.reason == "" and truly.value == pytest.approx(whole.value, abs=0.006)
+
+
 @pytest.mark.once
 @pytest.mark.parametrize(
     "steering",
