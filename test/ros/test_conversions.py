@@ -203,8 +203,8 @@ def test_other_types_and_damaged_messages_are_refused():
 
 def test_the_subscriber_tells_new_from_repeated(ros, advertise):
     lines, errors = [], []
-    RacelineSubscriber("/lines", lines.append, errors.append)
-    publisher = advertise("/lines", waypoint_array_class()[0])
+    RacelineSubscriber(lines.append, errors.append)
+    publisher = advertise("/global_waypoints", waypoint_array_class()[0])
     other, nonsense = circle(radius=4.0), circle(points=2)
     for k, message in enumerate((circle(), circle(), other, other, nonsense, nonsense, circle())):
         message.header.stamp = to_time(k)

@@ -4,6 +4,7 @@ import itertools
 import math
 import threading
 import time
+from operator import attrgetter
 
 import pytest
 from harness import wait_for, waypoints
@@ -284,7 +285,7 @@ def test_guidance_and_poses_that_come_at_once(no_master, monkeypatch):
         point, message = raceline.pose(0.1 * i), Odometry()
         message.header.stamp = to_time(10**12 + 10**9 * i)
         set_plane_pose(message.pose.pose, point.x, point.y, point.psi)
-        node._receive_pose(message, lookahead_visualizer._pose_of_odometry)
+        node._receive_pose(message, attrgetter("pose.pose"))
 
     def interrupted(fraction):
         if not threads:

@@ -130,7 +130,8 @@ def test_rviz_shows_the_race_on_its_track(screen, launch, listen, ros, tmp_path)
     listen("/lap_result", LapResult).wait(lambda lap: lap.valid, 120.0, "a lap")
     path = tmp_path / "rviz.png"
     for _ in range(20):
-        subprocess.run(["import", "-window", "root", path], check=True)
+        # In color even while the screen is still black.
+        subprocess.run(["import", "-window", "root", f"PNG24:{path}"], check=True)
         # Only the map view, without menus and panels.
         picture = imread(path)[70:-40, 370:-20, :3]
         counts = found(picture)

@@ -126,7 +126,8 @@ class _JoinedBag(Bag):
     def _join(self):
         numbers, self._numbers = {}, []
         for bag in self._bags:
-            own = {number: numbers.setdefault(c, len(numbers)) for number, c in _known(bag)}
+            known = sorted(bag.connections.items())
+            own = {number: numbers.setdefault(c, len(numbers)) for number, c in known}
             self._numbers.append(own)
             for number, count in bag.counts.items():
                 if number in own:
@@ -146,8 +147,3 @@ class _JoinedBag(Bag):
         return self._notes + [
             f"{bag.path.name}: {note}" for bag in self._bags for note in bag.notes()
         ]
-
-
-def _known(bag):
-    """Connections of a bag by number."""
-    return sorted(bag.connections.items())

@@ -79,15 +79,11 @@ def read_remarks(source: Source, recording: Recording) -> Remarks:
         }
         for message in bag.messages(set(kinds)) if kinds else ():
             with suppress(struct.error):
-                kind = kinds[message.connection]
-                text = _settings(message.data) if kind == "settings" else _state(message.data)
+                kind, data = kinds[message.connection], message.data
+                text = msg.decode_string(data)[0] if kind == "settings" else _state(data)
                 if text and (not found[kind] or found[kind][-1][1] != text):
                     found[kind].append((message.time_ns, text))
     return Remarks(*(_on_clock(found[kind], recording) for kind in ("settings", "states")))
-
-
-def _settings(data):
-    return msg.decode_string(data)[0]
 
 
 def _state(data):

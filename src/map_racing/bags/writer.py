@@ -112,20 +112,10 @@ class BagWriter:
         self._write(topic, msg.POSE, stamp, received, encoding.encode_pose, (frame, x, y, psi))
 
     def drive(
-        self,
-        stamp,
-        steering_angle,
-        speed,
-        *,
-        steering_angle_velocity=0.0,
-        acceleration=0.0,
-        jerk=0.0,
-        topic=DRIVE_TOPIC,
-        frame="base_link",
-        received=None,
+        self, stamp, steering_angle, speed, *, topic=DRIVE_TOPIC, frame="base_link", received=None
     ):
         """Drive command: steering angle [rad], speed [m/s]."""
-        values = (frame, steering_angle, speed, steering_angle_velocity, acceleration, jerk)
+        values = (frame, steering_angle, speed, 0.0, 0.0, 0.0)
         self._write(topic, msg.ACKERMANN, stamp, received, encoding.encode_drive, values)
 
     def belief(self, stamp, values, *, received=None):
@@ -133,20 +123,10 @@ class BagWriter:
         values = ("map", *values)
         self._write(BELIEF_TOPIC, msg.BELIEF, stamp, received, encoding.encode_belief, values)
 
-    def imu(
-        self,
-        stamp,
-        a_x,
-        a_y,
-        yaw_rate,
-        *,
-        a_z=9.81,
-        topic="/vesc/sensors/imu/raw",
-        frame="base_link",
-        received=None,
-    ):
-        """Specific force [m/s^2] and yaw rate [rad/s] in the axes of ``frame`` (REP-103)."""
-        values = (frame, a_x, a_y, a_z, yaw_rate)
+    def imu(self, stamp, a_x, a_y, yaw_rate, *, received=None):
+        """Specific force [m/s^2] and yaw rate [rad/s] in the axes of the car (REP-103)."""
+        values = ("base_link", a_x, a_y, 9.81, yaw_rate)
+        topic = "/vesc/sensors/imu/raw"
         self._write(topic, msg.IMU, stamp, received, encoding.encode_imu, values)
 
     def transform(
@@ -158,24 +138,15 @@ class BagWriter:
             topic, msg.TF, stamp, received, encoding.encode_transform, values, latched=static
         )
 
-    def waypoints(
-        self,
-        stamp,
-        rows,
-        *,
-        topic="/global_waypoints",
-        frame="map",
-        received=None,
-    ):
+    def waypoints(self, stamp, rows, *, topic="/global_waypoints", frame="map", received=None):
         """Raceline as ``f110_msgs/WpntArray``; `rows` are structured by `WAYPOINT_FIELDS`."""
         values, encode = (frame, rows.tolist()), encoding.encode_waypoints
         self._write(topic, msg.WAYPOINTS, stamp, received, encode, values, latched=True)
 
-    def text(self, stamp, text, *, topic=SETTINGS_TOPIC, latched=True, received=None):
-        """A text as ``std_msgs/String``; it has no stamp of its own."""
-        self._write(
-            topic, msg.STRING, stamp, received, encoding.encode_string, (text,), latched=latched
-        )
+    def text(self, stamp, text):
+        """Settings as ``std_msgs/String``, which has no stamp of its own."""
+        encode = encoding.encode_string
+        self._write(SETTINGS_TOPIC, msg.STRING, stamp, None, encode, (text,), latched=True)
 
     def state(self, stamp, text, level):
         """State of the controller as its node words it, with its level in diagnostics."""

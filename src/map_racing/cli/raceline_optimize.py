@@ -57,17 +57,7 @@ def run_optimize(arguments):
         arguments.margin = MARGIN_M * size.length
     if arguments.step is None:
         arguments.step = STEP_M * size.length
-    table = load_table(arguments.lookup_table) if arguments.lookup_table else None
-    for doubt in [] if table is None else doubts_of_table(table, vehicle):
-        print(f"warning: {doubt}")
-    limits = speed_limits(
-        vehicle,
-        table,
-        lateral_scale=arguments.lateral_scale,
-        longitudinal_scale=arguments.longitudinal_scale,
-        v_max=arguments.v_max,
-        power=arguments.power,
-    )
+    limits = limits_of(arguments, vehicle)
     track, image = load(arguments, vehicle)
     lines = [(label(track.name, "input", ()), track)]
     clearance = 0.5 * vehicle.width + arguments.margin
@@ -78,19 +68,7 @@ def run_optimize(arguments):
         lines.append((label(other.name, "compared", [name for name, _ in lines]), other))
     theirs = [clearance_of(other, track) for _, other in lines[1:]]
     clearance = compared_clearance(arguments.compare, theirs, clearance)
-
-    began = time.perf_counter()
-    with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
-        options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
-        if arguments.curvature_only:
-            found = minimum_curvature(track, clearance, **options)
-        else:
-            found = fastest_line(track, clearance, limits, **options)
-    for finding in found.findings:
-        print(f"  {finding}")
-    optimized = with_fastest_speeds(found.raceline, limits, arguments.speed_scale)
-    count = int(round(found.raceline.length / arguments.step))
-    print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
+    found, optimized = search(arguments, track, clearance, limits)
     lines += [("middle", found.reference), ("optimized", optimized)]
     print(f"  lap times: at the highest speeds of {vehicle.name}, whatever speeds a file has")
     times = print_table(lines, track, limits, arguments.speed_scale)
@@ -106,6 +84,38 @@ def run_optimize(arguments):
         drawn = optimized, middle, found.walls, image
         path = draw(arguments.plots, name, "optimization.plot_optimized", *drawn)
         print(f"  figure: {path}")
+
+
+def limits_of(arguments, vehicle):
+    """Limits on the speeds, from the car or a given table."""
+    table = load_table(arguments.lookup_table) if arguments.lookup_table else None
+    for doubt in [] if table is None else doubts_of_table(table, vehicle):
+        print(f"warning: {doubt}")
+    return speed_limits(
+        vehicle,
+        table,
+        lateral_scale=arguments.lateral_scale,
+        longitudinal_scale=arguments.longitudinal_scale,
+        v_max=arguments.v_max,
+        power=arguments.power,
+    )
+
+
+def search(arguments, track, clearance, limits):
+    """Find the line, and its fastest speeds; return both."""
+    began = time.perf_counter()
+    with tqdm(desc="optimizing", unit=" lines", disable=None, leave=False) as bar:
+        options = {"step": arguments.step, "progress": lambda count: bar.update(count - bar.n)}
+        if arguments.curvature_only:
+            found = minimum_curvature(track, clearance, **options)
+        else:
+            found = fastest_line(track, clearance, limits, **options)
+    for finding in found.findings:
+        print(f"  {finding}")
+    optimized = with_fastest_speeds(found.raceline, limits, arguments.speed_scale)
+    count = int(round(found.raceline.length / arguments.step))
+    print(f"  {count} points optimized in {time.perf_counter() - began:.1f} s")
+    return found, optimized
 
 
 def write(arguments, forms, optimized, middle):

@@ -321,10 +321,8 @@ class _Heat:
         points, length = self.line.s_points, self.line.length
         begin, end = points[first], points[following]
         inside = (self.s + self.track.start_s - begin) % length < ((end - begin) % length or length)
-        return inside if inside.any() else np.arange(self.s.size) == self._place(begin)
-
-    def _place(self, arc):
-        return int(np.argmin(np.abs(self.s - (arc - self.track.start_s) % self.line.length)))
+        nearest = np.argmin(np.abs(self.s - (begin - self.track.start_s) % length))
+        return inside if inside.any() else np.arange(self.s.size) == nearest
 
     def reachable(self, sectors):
         """Limit each sector so that the next one's speed is reached soon after its beginning."""

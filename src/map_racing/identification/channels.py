@@ -116,6 +116,8 @@ class Channel:
     offset: float = 0.0
 
     def __post_init__(self):
+        if not isinstance(self.unit, str):
+            raise ParameterError(f"unit: expected a text, got {self.unit!r}")
         for name in ("scale", "offset"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
 
@@ -155,7 +157,7 @@ class ChannelMap:
 
     def __post_init__(self):
         for name, channel in self.channels.items():
-            if factor_to_si(QUANTITIES[name], str(channel.unit)) is None:
+            if factor_to_si(QUANTITIES[name], channel.unit) is None:
                 expected = SI[QUANTITIES[name]]
                 raise ParameterError(
                     f"{name}: unit: expected one such as {expected}, got {channel.unit!r}"

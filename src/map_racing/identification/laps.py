@@ -31,7 +31,6 @@ from .driving import (
     GRID_HZ,
     LONGEST_DELAY_S,
     Driving,
-    Windows,
     driving_of,
     windows_of,
 )
@@ -231,19 +230,7 @@ def tires_from_laps(
         prior.update(grip=0.0, shape=0.0, bend=0.0)  # linear tires have none of them
     demonstrated = _demonstrated(drives)
     free, fitted, unknown, prior = _fitted(base, windows, prior, demonstrated)
-    explained = _explained(windows, fitted)
-    if explained < LEAST_EXPLAINED:
-        raise IdentificationError(
-            f"{', '.join(labels)}: the steering commands explain {max(explained, 0.0):.0%} of the "
-            f"yaw rate, expected {LEAST_EXPLAINED:.0%}: not the commands of this drive, or not the "
-            "size of this car"
-        )
-    if fitted["delay"] > AT_LONGEST_S:
-        raise IdentificationError(
-            f"{', '.join(labels)}: the wheels turn at least {fitted['delay']:.2f} s after their "
-            f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
-            "one clock (--steering-delay corrects a known delay)?"
-        )
+    explained = _explained(windows, fitted, labels)
     mixed = mixed_runs(base, drives, labels, prior, fitted, **cut) if len(drives) > 1 else None
     if mixed is None:
         odd = mixed_parts(base, windows, believed(**prior), free, used)
@@ -347,9 +334,22 @@ def _limit(vehicle: Vehicle) -> float:
     return vehicle.mu * GRAVITY * min(vehicle.front.peak, vehicle.rear.peak)
 
 
-def _explained(windows: Windows, fitted: Fitted) -> float:
-    value = windows.observed["r"][-1]
-    return 1.0 - (fitted.noise["r"] / float(np.std(value))) ** 2
+def _explained(windows, fitted, labels):
+    """Share of the variance of the yaw rate that a fit explains; refuses one of other commands."""
+    explained = 1.0 - (fitted.noise["r"] / float(np.std(windows.observed["r"][-1]))) ** 2
+    if explained < LEAST_EXPLAINED:
+        raise IdentificationError(
+            f"{', '.join(labels)}: the steering commands explain {max(explained, 0.0):.0%} of the "
+            f"yaw rate, expected {LEAST_EXPLAINED:.0%}: not the commands of this drive, or not the "
+            "size of this car"
+        )
+    if fitted["delay"] > AT_LONGEST_S:
+        raise IdentificationError(
+            f"{', '.join(labels)}: the wheels turn at least {fitted['delay']:.2f} s after their "
+            f"commands, expected less than {LONGEST_DELAY_S:g} s: are commands and measurements on "
+            "one clock (--steering-delay corrects a known delay)?"
+        )
+    return explained
 
 
 def _parameters(vehicle, fitted, free, unknown):

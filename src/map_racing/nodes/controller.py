@@ -128,9 +128,7 @@ class ControllerNode:
         if source:
             self._follow(load_raceline(source))
         else:
-            self._topic = RacelineSubscriber(
-                "global_waypoints", self._set_raceline, self._refuse_raceline
-            )
+            self._topic = RacelineSubscriber(self._set_raceline, self._refuse_raceline)
         rospy.Subscriber("stop_driving", Bool, self._on_stop_topic, queue_size=10)
         self._services = [
             rospy.Service("~stop", Trigger, self._on_stop),

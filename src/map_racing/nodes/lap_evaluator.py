@@ -103,9 +103,7 @@ class LapEvaluatorNode:
         rospy.on_shutdown(self._stop)
         if not source:
             self._raceline_topic = RacelineSubscriber(
-                "global_waypoints",
-                lambda raceline: self._put(self._set_raceline, raceline),
-                lambda error: rospy.logwarn("%s", error),
+                lambda raceline: self._put(self._set_raceline, raceline)
             )
         sender = FirstSender(rospy.resolve_name("drive"), self._queue_doubt)
         self._subscribe("drive", AckermannDriveStamped, self._add_command, sender.sent)

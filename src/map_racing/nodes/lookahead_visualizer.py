@@ -8,6 +8,7 @@ colored by the speeds on ``driven_waypoints``.
 import math
 import threading
 from collections import deque
+from operator import attrgetter
 
 import numpy as np
 import rospy
@@ -91,16 +92,15 @@ class LookaheadVisualizer:
         self._markers = rospy.Publisher("lookahead_markers", MarkerArray, queue_size=2)
         self._point = rospy.Publisher("lookahead_point", Marker, queue_size=2)
         self._course = rospy.Publisher("course_markers", MarkerArray, queue_size=2, latch=True)
-        self._raceline = RacelineSubscriber(
-            "global_waypoints", self._draw_raceline, lambda error: rospy.logwarn("%s", error)
-        )
+        self._raceline = RacelineSubscriber(self._draw_raceline)
         rospy.Subscriber(
             "driven_waypoints", waypoint_array_class()[0], self._receive_driven, queue_size=1
         )
         rospy.Subscriber(BELIEF_TOPIC, Belief, self._receive_belief, queue_size=1)
         rospy.Subscriber("guidance", Guidance, self._receive, queue_size=10, tcp_nodelay=True)
-        kind, what = (Odometry, _pose_of_odometry) if pose == "odom" else (PoseStamped, _pose)
-        rospy.Subscriber(pose, kind, self._receive_pose, what, queue_size=10, tcp_nodelay=True)
+        kind, of = (Odometry, "pose.pose") if pose == "odom" else (PoseStamped, "pose")
+        pose_of = attrgetter(of)
+        rospy.Subscriber(pose, kind, self._receive_pose, pose_of, queue_size=10, tcp_nodelay=True)
 
     def _restart(self):
         self._trail.clear()
@@ -261,14 +261,6 @@ def _line(namespace, frame, color, width, points, lifetime=_LIFETIME):
 def _place(marker, x, y, z):
     at = marker.pose.position
     at.x, at.y, at.z = x, y, z
-
-
-def _pose(message):
-    return message.pose
-
-
-def _pose_of_odometry(message):
-    return message.pose.pose
 
 
 def _lookahead_point(guidance, frame):

@@ -70,9 +70,7 @@ class _Opener:
 
     def __init__(self):
         self._raceline, self._came = None, threading.Event()
-        self._subscriber = RacelineSubscriber(
-            "global_waypoints", self._receive, lambda error: rospy.logwarn("%s", error)
-        )
+        self._subscriber = RacelineSubscriber(self._receive)
         self.path = ros_home() / "map_racing.rviz"
 
     def _receive(self, raceline):

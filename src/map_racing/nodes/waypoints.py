@@ -119,27 +119,32 @@ def raceline_from_message(message: rospy.AnyMsg, source: str) -> Raceline:
     return raceline_from_columns(columns, name=source.rpartition("/")[2], source=source)
 
 
+def _warn(error):
+    rospy.logwarn("%s", error)
+
+
 class RacelineSubscriber:
-    """Receives racelines from a topic; repetitions are ignored.
+    """Receives racelines from the topic ``global_waypoints``; repetitions are ignored.
 
     Only one node's racelines are used, because those of two nodes would alternate. The parameter
     ``~waypoints_from`` names that node; by default it is the first one, as long as it publishes.
 
     Parameters
     ----------
-    topic : str
     on_raceline : callable
         Called with each new Raceline.
-    on_error : callable
-        Called with the RacelineError of an invalid message, once per content.
+    on_error : callable, optional
+        Called with the RacelineError of an invalid message, once per content; logs it by default.
     """
 
-    def __init__(self, topic: str, on_raceline: Callable, on_error: Callable):
+    def __init__(self, on_raceline: Callable, on_error: Callable = _warn):
         self._on_raceline, self._on_error = on_raceline, on_error
         sender = get_parameter("waypoints_from", "", "node to take racelines from; empty: first")
         self._only = rospy.resolve_name(sender) if sender else ""
         self._content = self._sender = None
-        self._subscriber = rospy.Subscriber(topic, rospy.AnyMsg, self._receive, queue_size=100)
+        self._subscriber = rospy.Subscriber(
+            "global_waypoints", rospy.AnyMsg, self._receive, queue_size=100
+        )
 
     def _receive(self, message):
         try:

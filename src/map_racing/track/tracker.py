@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from .raceline import Projection, Raceline
+from .curve import Projection
+from .raceline import Raceline
 
 __all__ = ["RacelineTracker"]
 
