@@ -37,8 +37,8 @@ def run(arguments):
         load_raceline(source)  # fail early if one cannot be read
     tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
-    make_folder(arguments.output)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
+        make_folder(output)
         season = evaluate_season(bags, output, options, executor, capacity)
     heats = season.heats
     reports = report_paths(bags, output)

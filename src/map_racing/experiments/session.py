@@ -6,6 +6,7 @@ import math
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing import get_context
+from pathlib import Path
 from time import monotonic
 from typing import Callable, Iterable
 
@@ -57,14 +58,14 @@ class Races:
     def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
         check_workers(jobs, scheduler)
         self.kind = kind
-        self.folder, self.earlier = make_folder(folder), None
+        self.folder, self.earlier = Path(folder), None
         if (self.folder / "results.json").exists():
             self.earlier = read_results(self.folder)
             if self.earlier.kind != kind:
                 other = self.earlier.kind
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
-        self.figures = make_folder(self.folder / "figures")
         self.store = Store(self.folder, reuse)
+        self.figures = make_folder(self.folder / "figures")
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0, 0.0)
         self._jobs, self._scheduler = jobs, scheduler
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
-from ..files import read_json, replacing, write_json
+from ..files import make_folder, read_json, replacing, write_json
 from ..simulation.race import Outcome, Work
 from .jobs import LAP_COLUMNS, End, RaceJob, RaceResult, lap_row, plain
 
@@ -22,7 +22,7 @@ class Store:
     Parameters
     ----------
     folder : pathlib.Path
-        Result directory; it exists.
+        Result directory.
     reuse : iterable of pathlib.Path
         Result directories to take results from.
 
@@ -38,7 +38,7 @@ class Store:
         for other in self._others:
             if not (other / "runs").is_dir():
                 raise MapRacingError(f"{other}: expected a result directory with a folder runs")
-        (self.folder / "runs").mkdir(exist_ok=True)
+        make_folder(self.folder / "runs")
 
     def find(self, job: RaceJob, path: bool = False, bag: bool = False) -> RaceResult | None:
         """The stored result of a race, if it has the requested path and bag."""

@@ -203,9 +203,10 @@ def test_processes_work_from_the_script_for_rosrun(place, tmp_path):
     assert "\n10 races driven" in done.stdout
 
 
-@pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions"])
+@pytest.mark.parametrize("option", ["--track", "--plant", "--vehicle", "--conditions", "--reuse"])
 def test_a_failed_experiment_leaves_no_folder(tmp_path, capsys, option):
     output = tmp_path / "results"
     assert main(["experiment", "tire-models", option, "nowhere", "--output", str(output)]) == 1
-    assert "nowhere: no such file" in capsys.readouterr().err
+    expected = "expected a result directory" if option == "--reuse" else "no such file"
+    assert f"nowhere: {expected}" in capsys.readouterr().err
     assert not output.exists()

@@ -245,6 +245,13 @@ def test_reports_are_made_as_their_heats(tmp_path, ring, capsys, monkeypatch):
     assert "no report of bags/own.bag: no page today" in capsys.readouterr().err
 
 
+def test_a_refused_option_leaves_no_folder(bags, tmp_path, capsys):
+    output = tmp_path / "season"
+    assert main(["season", str(bags), "--output", str(output), "--jobs", "0"]) == 1
+    assert "jobs: expected at least 1, got 0" in capsys.readouterr().err
+    assert not output.exists()
+
+
 @pytest.mark.once
 def test_the_command(bags, tmp_path, capsys):
     output = tmp_path / "season"
