@@ -38,7 +38,7 @@ def run(arguments):
     tracks = tuple(_absolute_source(source) for source in arguments.tracks)
     options = BagOptions(tracks, arguments.car_width, arguments.max_deviation)
     with open_executor(arguments.jobs, arguments.scheduler) as (executor, capacity):
-        make_folder(output)
+        make_folder(arguments.output)
         season = evaluate_season(bags, output, options, executor, capacity)
     heats = season.heats
     reports = report_paths(bags, output)

@@ -6,7 +6,6 @@ import math
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing import get_context
-from pathlib import Path
 from time import monotonic
 from typing import Callable, Iterable
 
@@ -27,7 +26,7 @@ from .paper import CONTENDERS, Race, Setting, tuning_plan
 from .results import Results, provenance_of, read_results, write_results
 from .robustness import Grid, grid_plan
 from .robustness_tables import grid_provenance, race_rows
-from .store import Store
+from .store import Store, check_reused
 from .tuning import Tuned, frame_of
 
 __all__ = ["GridSession", "Session"]
@@ -57,15 +56,16 @@ class Races:
 
     def __init__(self, kind, folder, *, jobs=None, scheduler=None, reuse=()):
         check_workers(jobs, scheduler)
+        check_reused(reuse)
         self.kind = kind
-        self.folder, self.earlier = Path(folder), None
+        self.folder, self.earlier = make_folder(folder), None
         if (self.folder / "results.json").exists():
             self.earlier = read_results(self.folder)
             if self.earlier.kind != kind:
                 other = self.earlier.kind
                 raise ParameterError(f"{self.folder}: holds results of {other}; choose another")
-        self.store = Store(self.folder, reuse)
         self.figures = make_folder(self.folder / "figures")
+        self.store = Store(self.folder, reuse)
         self.began, self.effort = monotonic(), Effort(0, 0, 0.0, 0.0)
         self._jobs, self._scheduler = jobs, scheduler
 

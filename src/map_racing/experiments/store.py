@@ -6,14 +6,28 @@ import math
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from typing import Iterable
 
 from ..errors import FileFormatError, MapRacingError
 from ..evaluation.results import Lap
-from ..files import make_folder, read_json, replacing, write_json
+from ..files import read_json, replacing, write_json
 from ..simulation.race import Outcome, Work
 from .jobs import LAP_COLUMNS, End, RaceJob, RaceResult, lap_row, plain
 
-__all__ = ["Store"]
+__all__ = ["Store", "check_reused"]
+
+
+def check_reused(folders: Iterable[str | Path]) -> None:
+    """Check that folders are result directories.
+
+    Raises
+    ------
+    MapRacingError
+        If one has no results; names it.
+    """
+    for folder in folders:
+        if not (Path(folder) / "runs").is_dir():
+            raise MapRacingError(f"{folder}: expected a result directory with a folder runs")
 
 
 class Store:
@@ -22,23 +36,16 @@ class Store:
     Parameters
     ----------
     folder : pathlib.Path
-        Result directory.
-    reuse : iterable of pathlib.Path
-        Result directories to take results from.
-
-    Raises
-    ------
-    MapRacingError
-        If a directory to reuse has no results.
+        Result directory; it exists.
+    reuse : iterable of str or pathlib.Path
+        Result directories to take results from, see `check_reused`.
     """
 
     def __init__(self, folder, reuse=()):
+        check_reused(reuse)
         self.folder = Path(folder)
         self._others = [Path(other) for other in reuse]
-        for other in self._others:
-            if not (other / "runs").is_dir():
-                raise MapRacingError(f"{other}: expected a result directory with a folder runs")
-        make_folder(self.folder / "runs")
+        (self.folder / "runs").mkdir(exist_ok=True)
 
     def find(self, job: RaceJob, path: bool = False, bag: bool = False) -> RaceResult | None:
         """The stored result of a race, if it has the requested path and bag."""
