@@ -120,7 +120,7 @@ class TransformTree:
         link = self._link(parent, child, static)
         if link.static == static and link.add(stamp, pose, self._kept_ns):
             # Another parent's poses from before the reset would stay the latest forever.
-            for name in [n for n, other in self._links.items() if n[1] == child]:
+            for name in [name for name in self._links if name[1] == child]:
                 if name[0] != parent and not self._links[name].static:
                     del self._links[name]
                     self._paths.clear()

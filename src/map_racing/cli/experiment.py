@@ -29,6 +29,7 @@ from ..experiments.paper import (
 )
 from ..experiments.rivals import RIVALS, sensitivity_frame, sensitivity_plan, work_frame
 from ..experiments.robustness_tables import grid_table
+from ..printing import amount
 from .figures import draw, remove_stale
 from .session import open_grid, open_session, rival_sessions
 
@@ -89,7 +90,7 @@ def run_tires(arguments: argparse.Namespace) -> None:
             ]
             for scale in TIRE_SCALES
         ]
-        title = f"Tire models: {session.where}, race day {seed}, {_laps(arguments)}"
+        title = f"Tire models: {session.where}, race day {seed}, {amount(arguments.laps, 'lap')}"
         raceline = session.setting.raceline
         drawn.append(f"trajectories_seed{seed}.png")
         plot = "experiments.plot_trajectories"
@@ -112,8 +113,8 @@ def run_robustness(arguments):
     print("\n".join(robustness_lines(races)), end="\n\n")
     print("\n".join(not_completed_lines(races)))
     print("\n".join(grid_lines(table)))
-    laps = session.grid.conditions.laps
-    title = f"Robustness: {scale:.0%} speed, {laps} timed lap{'s' if laps > 1 else ''}"
+    laps = amount(session.grid.conditions.laps, "timed lap")
+    title = f"Robustness: {scale:.0%} speed, {laps}"
     drawn = []
     for label in controllers:
         own = races[races.controller == label]
@@ -162,7 +163,7 @@ def _draw(session, arguments, table, laps, what, contenders):
         (row.speed_scale, row.controller): row.days - row.days_completed
         for row in table.itertuples()
     }
-    title = f"{what}: {session.where}, {_laps(arguments)} on each of {session.days}"
+    title = f"{what}: {session.where}, {amount(arguments.laps, 'lap')} on each of {session.days}"
     labels = [contender.label for contender in contenders]
     plot = "experiments.plot_scaling"
     draw(session.figures, "velocity_scaling.png", plot, counted, ended, labels, title)
@@ -184,11 +185,6 @@ def named_controllers(names, vehicle=None):
     if len(set(stems)) < len(stems):
         raise ParameterError("--controller: two files of one name would give one result")
     return {stem: load_law(name, vehicle) for stem, name in zip(stems, names)}
-
-
-def _laps(arguments):
-    """The number of laps in words."""
-    return f"{arguments.laps} lap" + ("s" if arguments.laps != 1 else "")
 
 
 def check_laps(laps: int) -> None:

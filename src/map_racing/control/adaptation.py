@@ -109,7 +109,7 @@ class Adaptation:
     """
 
     def __init__(self, vehicle, v_max, delay, share=0.4, behind=None):
-        self.vehicle, self._share = vehicle, share
+        self.vehicle = vehicle
         self._behind = vehicle.l_r if behind is None else behind
         self._prior_delay = delay
         self._bounds = math.log(1.0 - share), math.log(1.0 + share)
@@ -221,7 +221,7 @@ class Adaptation:
                 self.restart()
             else:
                 self.frozen = SLOW
-            self._settle(t, v_x, v_y, r)
+            self._settle(t, v_y, r)
         else:
             elapsed = t - last
             use = self._predict(elapsed, 0.5 * (v_x + self._v_x), (v_x - self._v_x) / elapsed)
@@ -234,7 +234,7 @@ class Adaptation:
             del times[0], angles[0]
         return changed
 
-    def _settle(self, t, v_x, v_y, r):
+    def _settle(self, t, v_y, r):
         """Start the model from the measured motion and the commanded steering angle."""
         if self._times:
             end = t - self._x[5]

@@ -15,6 +15,7 @@ from ..control.parameters import ControllerParameters, load_law, save_controller
 from ..errors import ParameterError
 from ..files import make_folder, replacing, together, write_json
 from ..identification.report import report_data
+from ..printing import amount
 from ..simulation.plants import load_plant
 from ..track.files.load import load_raceline
 from ..vehicle.parameters import linearized, load_vehicle, parameter_hash, save_vehicle
@@ -206,8 +207,7 @@ class Session(Races):
     @property
     def days(self) -> str:
         """Number of race days, in words."""
-        count = len(self.setting.conditions.seeds)
-        return f"{count} race day" + ("s" if count != 1 else "")
+        return amount(len(self.setting.conditions.seeds), "race day")
 
     def _identify(self, plant, seed):
         """Identify the car on the plant, with Pacejka and with linear tires."""
