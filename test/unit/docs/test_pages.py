@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 from pages import PAGES, REPO, anchors, command_lines, name_of, prose
 
-from map_racing.control.parameters import ControllerParameters
+from map_racing.control.parameters import STEERING_MAPS, ControllerParameters
 from map_racing.control.safety_limits import SafetyLimits
 from map_racing.control.steering_ramp import RampParameters
 from map_racing.resources import list_config
@@ -90,13 +90,24 @@ def test_every_package_is_described():
 
 
 def test_the_answers_are_where_the_table_says():
-    rows = re.findall(r"^\|[^|]+\?[^|]*\| `([^`]+)` \| `([^`]+)` \|$", prose(ARCHITECTURE), re.M)
-    assert len(rows) >= 20
+    text = prose(ARCHITECTURE)
+    rows = re.findall(r"^\|[^|]+\?[^|]*\| `([^`]+)` \| `([^`]+)` \|$", text, re.M)
+    assert len(rows) == len(re.findall(r"^\|[^|]+\?", text, re.M)) >= 20
     for path, name in rows:
         if path.endswith(".py"):
             assert name in defined(SOURCE / path), (path, name)
         else:
             assert f'"{name}"' in (REPO / path).read_text(encoding="utf-8"), (path, name)
+
+
+def test_live_tuning_is_generated_again_when_what_it_reads_changes():
+    config = (REPO / "config" / "Controller.cfg").read_text(encoding="utf-8")
+    modules = re.findall(r"^from map_racing\.([\w.]+) import", config, re.M)
+    expected = {f"src/${{PROJECT_NAME}}/{module.replace('.', '/')}.py" for module in modules}
+    expected |= {f"config/controllers/{name}.yaml" for name in STEERING_MAPS.values()}
+    build = (REPO / "CMakeLists.txt").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"\n  DEPENDS\n([^)]+?)\n  APPEND", build)
+    assert set(listed.split()) == expected
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
