@@ -79,8 +79,8 @@ ready() {
     rm -rf "$folder"
     # Behind the nodes' tests, which drive in real time. Where uv cannot do it (it does not know
     # pip's settings, such as a mirror), pip does.
-    uv=$(find_uv) && "$uv" venv -q --seed --python "$python" "$folder" 2>/dev/null &&
-        nice -n 10 "$uv" pip install -q --python "$folder/bin/python" "$@" 2>/dev/null || {
+    uv=$(find_uv) && "$uv" venv -q --python "$python" "$folder" 2>/dev/null &&
+        nice -n 10 "$uv" pip install -q --python "$folder/bin/python" pip "$@" 2>/dev/null || {
         make_venv "$python" "$folder"
         nice -n 10 "$folder/bin/python" -m pip install -q --no-compile \
             --disable-pip-version-check "$@" ||
