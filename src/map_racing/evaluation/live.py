@@ -58,7 +58,8 @@ class LiveEvaluation:
     A pose is evaluated once the raceline is known, the clocks of poses and commands have been
     compared, and a later command has arrived (so none can be missing) or `patience` has passed. A
     step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation restarted) or
-    another raceline ends the run and begins the next.
+    another raceline ends the run and begins the next. The last poses of a run wait until the commands
+    step back, too, or `patience` has passed.
 
     Parameters
     ----------
@@ -248,6 +249,7 @@ class LiveEvaluation:
                 self._commands.restart(pose.stamp_ns - behind, last_ns - behind)
             waited = now - pose.received >= self._patience
             over = self._poses[-1].stamp_ns < pose.stamp_ns - self._gap_ns
+            over = over and self._commands.complete
             known = self._clock.compared and self._commands.beyond(pose.stamp_ns - behind)
             if not (waited or over or known):
                 break

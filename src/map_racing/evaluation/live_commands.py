@@ -71,6 +71,11 @@ class Commands:
         """Whether there are commands at all."""
         return bool(self._stamps)
 
+    @property
+    def complete(self) -> bool:
+        """Whether no more commands of this run are to come: their time stepped back, too."""
+        return bool(self._ahead) or not self.any
+
     def beyond(self, stamp_ns: int) -> bool:
         """Whether a later command has arrived."""
         return bool(self._stamps) and self._stamps[-1] > stamp_ns

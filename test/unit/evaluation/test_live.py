@@ -280,6 +280,24 @@ def test_a_step_back_in_time_begins_another_run(line, drive, early):
     same(taken.rows(2), [lap.row() for lap in offline.laps])
 
 
+def test_the_last_commands_of_a_run_may_come_after_the_first_poses_of_the_next(line, drive):
+    """As on a busy computer that plays a bag in a loop."""
+    recording, poses, commands = drive
+    taken = Taken(line)
+    play(taken, poses, commands[:-20])
+    for pose in poses[:60]:
+        taken.evaluation.add_pose(*pose, 0.0)
+        taken.evaluation.advance(0.0)
+    for command in [*commands[-20:], *commands[:20]]:
+        taken.evaluation.add_command(*command)
+    play(taken, poses[60:], commands[20:])
+    taken.evaluation.finish()
+    expected = [lap.row() for lap in evaluate(recording, line).laps]
+    assert [number for number, _ in taken.runs] == [1, 2]
+    for run in (1, 2):
+        same(taken.rows(run), expected)
+
+
 def test_a_stray_command_from_the_past_changes_nothing(line, drive):
     recording, poses, commands = drive
     stray = (commands[0][0] - 10_000_000_000, 99.0, 0.0)
