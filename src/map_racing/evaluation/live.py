@@ -58,8 +58,8 @@ class LiveEvaluation:
     A pose is evaluated once the raceline is known, the clocks of poses and commands have been
     compared, and a later command has arrived (so none can be missing) or `patience` has passed. A
     step back in time by more than ``limits.max_gap`` (a bag is replayed, a simulation restarted) or
-    another raceline ends the run and begins the next. The last poses of a run wait until the commands
-    step back, too, or `patience` has passed.
+    another raceline ends the run and begins the next. The last poses of a run wait until the
+    commands step back, too, or `patience` has passed.
 
     Parameters
     ----------
