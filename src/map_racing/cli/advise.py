@@ -5,7 +5,7 @@ from ..errors import ParameterError
 from ..evaluation.advice import advice_notes, advice_table, advise
 from ..evaluation.report import aligned
 from .evaluate import check_evaluation
-from .outputs import YAML, check_outputs
+from .outputs import check_outputs
 from .report import analyses
 
 
@@ -20,7 +20,7 @@ def run(arguments):
     if arguments.reverse:
         raise ParameterError("--reverse: speed sectors refer to the raceline in its own direction")
     inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
-    check_outputs([(arguments.speed_sectors, YAML)], inputs)
+    check_outputs([arguments.speed_sectors], inputs)
     runs, failed = analyses(arguments)
     if not runs:
         return failed

@@ -12,14 +12,12 @@ from ..identification.delay import delay_data, delay_text, estimate_delays
 from ..resources import list_config
 from ..vehicle.parameters import load_vehicle
 from .inputs import channel_map, joined, read_vehicle
-from .outputs import JSON, check_outputs
+from .outputs import check_outputs
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Estimate and report."""
-    check_outputs(
-        [(arguments.json, JSON)], [*arguments.data, arguments.vehicle, arguments.channels]
-    )
+    check_outputs([arguments.json], [*arguments.data, arguments.vehicle, arguments.channels])
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     others = [] if vehicle else [load_vehicle(name) for name in list_config("vehicles")]
     channels = channel_map(arguments)

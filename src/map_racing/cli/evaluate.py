@@ -19,14 +19,13 @@ from ..printing import printable
 from ..track.files.load import load_raceline
 from .figures import draw_runs
 from .inputs import joined
-from .outputs import CSV, JSON, check_outputs
+from .outputs import check_outputs
 
 
 def run(arguments):
     """Evaluate, print, write; recordings that cannot be read are skipped with an error."""
     check_evaluation(arguments)
-    outputs = [(arguments.csv, CSV), (arguments.json, JSON)]
-    check_outputs(outputs, [*arguments.recordings, arguments.raceline])
+    check_outputs([arguments.csv, arguments.json], [*arguments.recordings, arguments.raceline])
     track = None if arguments.raceline is None else load_raceline(arguments.raceline)
     names, results, failed = [], [], 0
     sources = joined(arguments.recordings, arguments.join)

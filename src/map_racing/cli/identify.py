@@ -26,7 +26,7 @@ from ..vehicle.parameters import parameter_hash, save_vehicle
 from ..vehicle.steady_state import steady_state_table
 from .figures import draw_identification
 from .inputs import channel_map, joined, read_vehicle
-from .outputs import CSV, JSON, YAML, check_outputs
+from .outputs import check_outputs
 
 CONTROLLER = "map"
 
@@ -34,9 +34,10 @@ CONTROLLER = "map"
 def run(arguments: argparse.Namespace) -> None:
     """Identify, report, write."""
     output = Path(arguments.output)
-    outputs = [(arguments.output, YAML), (str(_table_path(output)), CSV)]
-    outputs += [(arguments.linear_output, YAML), (arguments.controller_output, YAML)]
-    outputs += [(arguments.json, JSON)]
+    if output.suffix not in (".yaml", ".yml"):
+        raise ParameterError(f"--output: expected a vehicle file (.yaml), got {output}")
+    outputs = [arguments.output, str(_table_path(output)), arguments.linear_output]
+    outputs += [arguments.json, arguments.controller_output]
     recordings = [*arguments.data, *arguments.validate]
     check_outputs(outputs, [*recordings, arguments.vehicle, arguments.channels])
     _check_held_out(arguments)

@@ -23,12 +23,12 @@ from ..vehicle.steady_state import steady_state_table
 from .figures import draw_table
 from .inputs import channel_map, read_vehicle
 from .options.lookup import CONTROLLER
-from .outputs import CSV, check_outputs
+from .outputs import check_outputs
 
 
 def run_generate(arguments):
     """Make a table and write it."""
-    check_outputs([(arguments.output, CSV)], [arguments.vehicle])
+    check_outputs([arguments.output], [arguments.vehicle])
     vehicle = _vehicle(arguments)
     if arguments.published_grid:
         if arguments.v_max is not None:

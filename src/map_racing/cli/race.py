@@ -22,7 +22,7 @@ from ..vehicle.parameters import parameter_hash
 from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import ONE_TENTH, size_of
 from .inputs import read_plant, read_vehicle
-from .outputs import BAG, check_outputs
+from .outputs import check_outputs
 from .progress import progress_bar
 
 # Exit code of a race that was recorded but not completed; 1 is for errors, 2 for usage.
@@ -38,7 +38,7 @@ def run(arguments):
         raise ParameterError(f"--laps: expected 1 to {MOST_LAPS}, got {arguments.laps}")
     inputs = [arguments.track, arguments.controller, arguments.plant, arguments.vehicle]
     inputs += [arguments.lookup_table, arguments.speed_sectors, arguments.faults]
-    check_outputs([(arguments.output, BAG)], inputs)
+    check_outputs([arguments.output], inputs)
     parameters = load_law(arguments.controller)
     if arguments.faults and isinstance(parameters, MpcParameters):
         raise ParameterError(
@@ -74,6 +74,8 @@ def run(arguments):
     )
     write_race_bag(arguments.output, log, raceline, settings=settings)
     print_end(arguments, log, raceline, parameters.speed_scale)
+    if not arguments.output.endswith(".bag"):
+        print(f"{arguments.output}: not named .bag: season does not find it in its folder")
     if log.outcome is Outcome.COMPLETED:
         return 0
     print(f"map-racing: not completed (N.C.), {log.outcome.value}", file=sys.stderr)

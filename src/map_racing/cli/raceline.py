@@ -15,7 +15,7 @@ from ..track.files.repair import driven_columns, repaired, resampled, reversed_t
 from ..track.files.report import facts_text, findings_count, findings_rows, raceline_facts
 from ..track.findings import ERROR, NOTE, Finding, worst_first
 from .figures import draw_check
-from .outputs import ANY, JSON, check_outputs
+from .outputs import check_outputs
 
 # Quantities that some formats cannot store, with the attribute of the raceline.
 WITHOUT = {
@@ -28,7 +28,7 @@ WITHOUT = {
 def run_check(arguments):
     """Report on a raceline."""
     alone = arguments.json == "-"
-    check_outputs([(None if alone else arguments.json, JSON)], [arguments.source])
+    check_outputs([None if alone else arguments.json], [arguments.source])
     table = raceline = None
     try:
         table = read_raceline(arguments.source)
@@ -69,7 +69,7 @@ def run_check(arguments):
 def run_convert(arguments):
     """Read, repair, write."""
     form = choose_format(arguments.output, arguments.format)
-    check_outputs([(arguments.output, ANY)], [arguments.source])
+    check_outputs([arguments.output], [arguments.source])
     if arguments.spacing is not None and not 0.001 <= arguments.spacing <= 100.0:
         raise ParameterError(f"--spacing: expected 0.001 to 100 m, got {arguments.spacing:g}")
     table = read_raceline(arguments.source)

@@ -32,7 +32,7 @@ from ..vehicle.plausibility import doubts_of_table
 from ..vehicle.size import size_of
 from .figures import draw
 from .inputs import read_vehicle
-from .outputs import ANY, YAML, check_outputs
+from .outputs import check_outputs
 
 # Findings that make the walls unusable, though the line itself can be driven.
 WRONG_WALLS = ("swapped-walls", "no-width", "beyond-wall")
@@ -45,11 +45,10 @@ MOST_POINTS, WIDEST_M = 20000, 100.0
 
 def run_optimize(arguments):
     """Optimize, compare, write."""
-    paths = arguments.output, arguments.middle
-    outputs = [*((path, ANY) for path in paths), (arguments.sectors, YAML)]
+    outputs = [arguments.output, arguments.middle, arguments.sectors]
     inputs = [arguments.source, *arguments.compare, arguments.vehicle, arguments.lookup_table]
     check_outputs(outputs, inputs)
-    forms = [form_of(path, arguments.format) for path in paths]
+    forms = [form_of(path, arguments.format) for path in outputs[:2]]
     check_numbers(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     size = size_of(vehicle)

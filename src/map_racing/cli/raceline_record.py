@@ -19,7 +19,7 @@ from ..track.findings import Finding, raceline_warnings
 from ..track.map_image import read_map_image
 from ..vehicle.size import size_of
 from .inputs import joined, read_vehicle
-from .outputs import ANY, check_outputs
+from .outputs import check_outputs
 from .raceline import print_findings
 from .raceline_optimize import form_of
 
@@ -28,7 +28,7 @@ def run_record(arguments):
     """Read, choose a lap, write its line and check it."""
     form = form_of(arguments.output, arguments.format)
     inputs = [*arguments.recordings, arguments.raceline, arguments.map, arguments.vehicle]
-    check_outputs([(arguments.output, ANY)], inputs)
+    check_outputs([arguments.output], inputs)
     sources = joined(arguments.recordings, arguments.join)
     if len(sources) > 1:
         raise ParameterError("expected one recording, or --join for the parts of one")

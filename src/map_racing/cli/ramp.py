@@ -7,14 +7,14 @@ from ..errors import ParameterError
 from ..simulation.ramps import drive_ramps
 from ..simulation.recorded import write_ramp_bag
 from .inputs import read_plant
-from .outputs import BAG, check_outputs
+from .outputs import check_outputs
 from .progress import progress_bar
 
 
 def run(arguments):
     """Drive and record."""
     output = Path(arguments.output)
-    check_outputs([(arguments.output, BAG)], [arguments.plant])
+    check_outputs([arguments.output], [arguments.plant])
     plant = read_plant(arguments.plant)
     vehicle = plant.build_vehicle()
     given = {name: getattr(arguments, name) for name in ("rate_radps", "start_rad", "limit_rad")}

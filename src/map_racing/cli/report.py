@@ -22,7 +22,7 @@ from ..track.files.load import load_raceline
 from ..vehicle.parameters import parameter_hash
 from .evaluate import check_evaluation, evaluate_one, run_names
 from .inputs import joined, read_vehicle
-from .outputs import PAGE, check_outputs
+from .outputs import check_outputs
 
 __all__ = ["analyses", "run"]
 
@@ -32,7 +32,7 @@ def run(arguments):
     plotly_script()  # without it nothing can be written
     check_evaluation(arguments)
     inputs = [*arguments.recordings, arguments.raceline, arguments.vehicle]
-    check_outputs([(arguments.output, PAGE)], inputs)
+    check_outputs([arguments.output], inputs)
     runs, failed = analyses(arguments, delays=True)
     if not runs:
         return 1

@@ -202,8 +202,8 @@ def test_refusals(tmp_path, refused, capsys):
     for arguments, expected in (
         ((tmp_path / "none.bag", *good), "no such file, nor one of the shipped recordings"),
         (
-            (bag, "--vehicle", "nuc4", "--output", tmp_path / "a.txt"),
-            "a.txt: expected a file named .yaml or .yml",
+            (bag, "--vehicle", "nuc4", "--output", tmp_path / "a.csv"),
+            "expected a vehicle file (.yaml)",
         ),
         ((bag, "--vehicle", "nowhere", "--output", tmp_path / "a.yaml"), "nowhere"),
         ((bag, *good, "--servo-topic", "/servo"), "/servo: expected messages"),

@@ -2,8 +2,6 @@
 
 import shutil
 
-import pytest
-
 from map_racing.cli.figures import remove_stale
 from map_racing.resources import find_config
 
@@ -15,7 +13,7 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
     before = ours.read_bytes()
     assert "an input" in refused("evaluate", ours, "--csv", ours)
     assert "another output" in refused(
-        "evaluate", ours, "--csv", tmp_path / "a.csv", "--json", tmp_path / "a.csv"
+        "evaluate", ours, "--csv", tmp_path / "a", "--json", tmp_path / "a"
     )
     shutil.copy(str(ours), str(tmp_path / "unnamed"))
     line = refused("evaluate", theirs, "--csv", tmp_path / "unnamed")
@@ -27,34 +25,6 @@ def test_outputs_never_destroy_what_was_recorded(bags, tmp_path, refused):
     assert "an input" in refused("race", "--vehicle", car, "--output", car)
     assert "name of a file" in refused("race", "--output", ".")
     assert (ours.read_bytes(), car.read_text()) == (before, text)
-
-
-@pytest.mark.parametrize(
-    "command, option, right",
-    [
-        (["race"], "--output", ".bag"),
-        (["ramp"], "--output", ".bag"),
-        (["evaluate", "BAG"], "--csv", ".csv"),
-        (["evaluate", "BAG"], "--json", ".json"),
-        (["delay", "BAG"], "--json", ".json"),
-        (["report", "BAG"], "--output", ".html"),
-        (["advise", "BAG"], "--speed-sectors", ".yaml or .yml"),
-        (["identify", "BAG", "--vehicle", "nuc4"], "--output", ".yaml or .yml"),
-        (["identify", "BAG", "--vehicle", "nuc4", "--output", "a.yaml"], "--json", ".json"),
-        (["lookup", "generate", "--vehicle", "nuc4"], "--output", ".csv"),
-        (["raceline", "check", "reference"], "--json", ".json"),
-        (["raceline", "optimize", "reference"], "--sectors", ".yaml or .yml"),
-        (["raceline", "optimize", "reference"], "--output", ".csv, .json or .bag, or --format"),
-    ],
-)
-def test_names_have_the_endings_by_which_other_commands_find_files(
-    bags, tmp_path, monkeypatch, refused, command, option, right
-):
-    monkeypatch.chdir(tmp_path)
-    command = [bags["map"] if word == "BAG" else word for word in command]
-    for name in ("g.txt", "g", "g.bag.gz"):
-        assert refused(*command, option, name).endswith(f"{name}: expected a file named {right}")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_outputs_of_a_call_appear_together(bags, tmp_path, refused, full_disk):

@@ -155,11 +155,12 @@ def test_race_refuses_a_track_in_millimeters(tmp_path, refused):
     assert "expected meters, got a lap of 31416 m, which takes 10472 s" in line
 
 
-def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch):
+def test_an_output_may_be_called_like_a_shipped_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["raceline", "convert", "club", "club", "--format", "map_racing"]
-    assert main(words) == 0
-    assert (tmp_path / "club").is_file()
+    assert main(["race", "--laps", "1", "--controller", "map", "--output", "map"]) == 0
+    assert (tmp_path / "map").is_file()
+    # Only its name tells that a file in a folder is a bag.
+    assert "map: not named .bag: season does not find it" in capsys.readouterr().out
 
 
 def test_race_refuses_a_folder_that_is_not_there(tmp_path, refused):
